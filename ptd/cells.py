@@ -1,0 +1,134 @@
+"""Points by cells of a global lattice: linear passes over integers."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.frame import Cells
+from ptd.kernel import kernel
+
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+
+DENSE_CELLS_PER_POINT = 16
+"""A raster of cells is made only while it has at most so many cells a point; a sparse cloud is sorted instead."""
+
+
+@kernel
+def cell_keys(x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, width: int) -> Int64:
+    """``row * width + column`` of each point, relative to (col0, row0): int64 [n]."""
+    out = np.empty(x.size, np.int64)
+    for i in range(x.size):
+        column = ((np.int64(x[i]) + ox) * q) // p - col0
+        row = ((np.int64(y[i]) + oy) * q) // p - row0
+        out[i] = row * width + column
+    return out
+
+
+@kernel
+def _lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
+    """Whether point i goes before j: lower, then lexicographically smaller in (x, y)."""
+    if z[i] != z[j]:
+        return bool(z[i] < z[j])
+    if x[i] != x[j]:
+        return bool(x[i] < x[j])
+    return bool(y[i] < y[j])
+
+
+@kernel
+def _lowest_dense(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> Int32:
+    """Lowest point of each cell, -1 where there is none: int32 [n_cells]."""
+    lowest = np.full(n_cells, -1, np.int32)
+    for i in range(keys.size):
+        j = lowest[keys[i]]
+        if j < 0 or _lower(x, y, z, i, j):
+            lowest[keys[i]] = i
+    return lowest
+
+
+@kernel
+def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> Int32:
+    """As `_lowest_dense`, without the empty cells, from an order that sorts the keys."""
+    out = np.empty(keys.size, np.int32)
+    n = 0
+    for k in range(order.size):
+        i = order[k]
+        if k == 0 or keys[i] != keys[order[k - 1]]:
+            out[n] = i
+            n += 1
+        elif _lower(x, y, z, i, out[n - 1]):
+            out[n - 1] = i
+    return out[:n].copy()
+
+
+def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
+    """The lowest point of each cell that holds one, in row-major order of the cells.
+
+    Of equal heights the lexicographically smallest (x, y), so that the order of the points changes nothing.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts.
+    cells : Cells
+
+    Returns
+    -------
+    int32 [m]
+        Indices into the arrays.
+    """
+    if x.size == 0:
+        return np.zeros(0, np.int32)
+    col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
+    width = cells.column(int(x.max())) - col0 + 1
+    n_cells = width * (cells.row(int(y.max())) - row0 + 1)
+    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+    if n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024:
+        lowest = _lowest_dense(x, y, z, keys, n_cells)
+        return lowest[lowest >= 0]
+    return _lowest_sorted(x, y, z, keys, np.argsort(keys, kind="stable"))
+
+
+class CellIndex:
+    """Points listed by cell, for searches among neighbours; memory grows with the points, not with the extent.
+
+    Attributes
+    ----------
+    keys : int64 [m]
+        Sorted keys of the occupied cells, ``row * width + column``.
+    starts : int64 [m + 1]
+        Points of cell k are ``order[starts[k]:starts[k + 1]]``.
+    order : int64 [n]
+    slots : int32 [height * width] or int32 [0]
+        Index into `keys` by cell where a raster is affordable (-1: empty).
+    """
+
+    def __init__(self, x: Int32, y: Int32, cells: Cells) -> None:
+        self.cells = cells
+        self.col0, self.row0 = cells.column(int(x.min())), cells.row(int(y.min()))
+        self.width = cells.column(int(x.max())) - self.col0 + 1
+        self.height = cells.row(int(y.max())) - self.row0 + 1
+        c = cells
+        point_keys = cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, self.width)
+        ordered = bool((point_keys[1:] >= point_keys[:-1]).all())
+        self.order = np.arange(x.size) if ordered else np.argsort(point_keys, kind="stable")
+        self.keys, first = np.unique(point_keys[self.order], return_index=True)
+        self.starts = np.append(first, x.size).astype(np.int64)
+        n_cells = self.width * self.height
+        self.slots = np.zeros(0, np.int32)
+        if n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024:
+            self.slots = np.full(n_cells, -1, np.int32)
+            self.slots[self.keys] = np.arange(self.keys.size, dtype=np.int32)
+
+
+@kernel
+def slot_of(slots: Int32, keys: Int64, width: int, height: int, column: int, row: int) -> int:
+    """Index of a cell in a `CellIndex`, -1 if it is empty or beyond the raster."""
+    if column < 0 or row < 0 or column >= width or row >= height:
+        return -1
+    key = row * width + column
+    if slots.size > 0:
+        return int(slots[key])
+    k = np.searchsorted(keys, key)
+    return int(k) if k < keys.size and keys[k] == key else -1

@@ -1,0 +1,114 @@
+"""Progressive densification in batches: every round tests the candidates against one TIN, then inserts all that pass.
+
+The result of a round depends on the set of candidates alone, not on their order (Chen 2023, 2.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32
+from ptd.certify import Doubt, UInt8
+from ptd.criteria import Limits, accepts
+from ptd.kernel import kernel
+from ptd.tin.insertion import insert
+from ptd.tin.layout import N_TRIANGLES, STAMP, Int32Array, is_ghost
+from ptd.tin.location import locate
+from ptd.tin.mesh import Tin
+
+WAITING, VERTEX, REFUSED = 0, 1, 2
+"""States of a candidate: to be tested, in the TIN, never to be tested (outlier)."""
+
+
+@kernel
+def _test_round(vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: Int32, state: UInt8, home: Int32, again: npt.NDArray[np.bool_], doubtful: npt.NDArray[np.bool_], in_doubt: UInt8, limits: Limits, stamp: int, chosen: Int32) -> int:
+    """Test the candidates whose triangle changed since their last test; `chosen` receives those that pass.
+
+    A triangle changed by the insertions of the last round carries its stamp, ``stamp - 1``. A candidate whose answer
+    rests on a mirrored position is tested each time (`again`).
+    """
+    n_chosen = 0
+    t = np.int64(0)
+    for i in range(x.size):
+        if state[i] != 0:
+            continue
+        if home[i] >= 0:
+            t = np.int64(home[i])
+        unchanged = home[i] >= 0 and triangles[8 * t + STAMP] < stamp - 1
+        if not unchanged:
+            t = np.int64(locate(vertices, triangles, x[i], y[i], t))
+            home[i] = t
+        if in_doubt[t] != 0:
+            doubtful[i] = True
+        if (unchanged and not again[i]) or is_ghost(triangles, t):
+            continue
+        passed, other = accepts(vertices, triangles, t, x[i], y[i], z[i], limits)
+        again[i] = other != t
+        if in_doubt[other] != 0:
+            doubtful[i] = True
+        if passed:
+            chosen[n_chosen] = i
+            n_chosen += 1
+    return n_chosen
+
+
+@kernel
+def insert_points(vertices: Int32Array, triangles: Int32Array, counters: Int32Array, x: Int32, y: Int32, z: Int32, home: Int32, chosen: Int32, stamp: int) -> None:
+    """Insert the chosen points; `home` holds a triangle near each, or -1."""
+    hint = np.int64(0)
+    for k in range(chosen.size):
+        i = chosen[k]
+        if home[i] >= 0:
+            hint = np.int64(home[i])
+        v = insert(vertices, triangles, counters, x[i], y[i], z[i], hint, stamp)
+        hint = np.int64(max(vertices[4 * v + 3], 0))
+
+
+def densify(tin: Tin, x: Int32, y: Int32, z: Int32, state: UInt8, limits: Limits, rounds: int, doubt: Doubt, stop: Callable[[], bool] | None = None) -> tuple[npt.NDArray[np.bool_], int]:
+    """Batch rounds until nothing passes any more, or `rounds` of them.
+
+    Parameters
+    ----------
+    tin : Tin
+        Holds the seeds, each triangle stamped 0, with room for all candidates; densified in place.
+    x, y, z : int32 [n]
+        Candidates, local counts; neighbours in the array near each other.
+    state : uint8 [n]
+        `WAITING`, `VERTEX` or `REFUSED`; updated.
+    limits : Limits
+    rounds : int
+        0: until nothing passes.
+    doubt : Doubt
+        Grows by the candidates whose decision could change with points outside the window.
+    stop : callable, optional
+        Asked after each round.
+
+    Returns
+    -------
+    doubtful : bool [n]
+    rounds : int
+        How many were run.
+    """
+    home = np.full(x.size, -1, np.int32)
+    again = np.zeros(x.size, np.bool_)
+    doubtful = np.zeros(x.size, np.bool_)
+    room = np.empty(x.size, np.int32)
+    stamp = 0
+    while rounds == 0 or stamp < rounds:
+        stamp += 1
+        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, int(tin.counters[N_TRIANGLES]))
+        n = _test_round(
+            tin.vertex_array, tin.triangle_array, x, y, z, state, home, again, doubtful, in_doubt, limits, stamp, room
+        )
+        doubt.add_points(x, y, doubtful)
+        if n == 0:
+            break
+        chosen = room[:n]
+        state[chosen] = VERTEX
+        insert_points(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, home, chosen, stamp)
+        if stop is not None and stop():
+            break
+    return doubtful, stamp

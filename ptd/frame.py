@@ -1,0 +1,106 @@
+"""What the integers mean: counts of a frame, and the window within which everything is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+OPEN = 2**40
+"""Counts beyond any coordinate: the side of a window behind which there are no points."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Metres in one count, and where local count 0 lies.
+
+    Attributes
+    ----------
+    metres_xy, metres_z : Fraction
+        Metres in one horizontal and one vertical count.
+    origin : (int, int)
+        Absolute counts of local (0, 0). Lattices are anchored at absolute count 0.
+    """
+
+    metres_xy: Fraction = Fraction(1, 1000)
+    metres_z: Fraction = Fraction(1, 1000)
+    origin: tuple[int, int] = (0, 0)
+
+    def counts(self, metres: float) -> float:
+        """A horizontal length in metres as counts."""
+        return float(Fraction(metres) / self.metres_xy)
+
+    def counts_z(self, metres: float) -> float:
+        """A height in metres as vertical counts."""
+        return float(Fraction(metres) / self.metres_z)
+
+    @property
+    def z_ratio(self) -> float:
+        """Horizontal counts in one vertical count."""
+        return float(self.metres_z / self.metres_xy)
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A lattice of square cells of ``p / q`` counts anchored at absolute count 0, seen from local counts.
+
+    Local count ``x`` lies in column ``((x + origin_x) * q) // p``.
+    """
+
+    p: int
+    q: int
+    origin_x: int
+    origin_y: int
+
+    @classmethod
+    def of(cls, size_m: float, scale: Scale) -> Cells:
+        """Cells of ``size_m`` metres (taken as the decimal number that it prints as)."""
+        size = Fraction(repr(float(size_m))) / scale.metres_xy
+        return cls(size.numerator, size.denominator, scale.origin[0], scale.origin[1])
+
+    def column(self, x: int) -> int:
+        """Column of local count ``x``."""
+        return ((x + self.origin_x) * self.q) // self.p
+
+    def row(self, y: int) -> int:
+        """Row of local count ``y``, growing to the north."""
+        return ((y + self.origin_y) * self.q) // self.p
+
+    def west(self, column: int) -> int:
+        """The first local count of a column."""
+        return -((-column * self.p) // self.q) - self.origin_x
+
+    def south(self, row: int) -> int:
+        """The first local count of a row."""
+        return -((-row * self.p) // self.q) - self.origin_y
+
+
+@dataclass(frozen=True)
+class Window:
+    """The half-open rectangle of local counts whose points are all given.
+
+    A side is *open* (at -OPEN or OPEN) where there are no points beyond it.
+    """
+
+    west: int
+    south: int
+    east: int
+    north: int
+
+    @classmethod
+    def everything(cls) -> Window:
+        """There are no other points anywhere."""
+        return cls(-OPEN, -OPEN, OPEN, OPEN)
+
+    @property
+    def closed(self) -> bool:
+        """Beyond some side there may be points that were not given."""
+        return self != Window.everything()
+
+    def shrink(self, counts: int) -> Window:
+        """Closed sides moved inward."""
+        return Window(
+            self.west + counts if self.west > -OPEN else self.west,
+            self.south + counts if self.south > -OPEN else self.south,
+            self.east - counts if self.east < OPEN else self.east,
+            self.north - counts if self.north < OPEN else self.north,
+        )

@@ -1,0 +1,130 @@
+"""The last pass: every point, vertex or not, is labelled against the finished TIN, in pieces of any size."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, Int64
+from ptd.certify import UInt8
+from ptd.criteria import Limits, accepts, facet_measures
+from ptd.kernel import kernel
+from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, is_ghost
+from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.mesh import Tin
+
+UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
+"""ASPRS classes that a filter gives."""
+
+GRID_CELLS_PER_VERTEX = 2
+
+
+@kernel
+def _start_grid(vertices: Int32Array, n: int, west: int, south: int, cell: int, height: int, width: int) -> Int32:
+    """A triangle near each cell of a raster: int32 [height * width]."""
+    grid = np.full(height * width, -1, np.int32)
+    for v in range(n):
+        row, column = (vertices[4 * v + 1] - south) // cell, (vertices[4 * v] - west) // cell
+        grid[row * width + column] = max(vertices[4 * v + 3], 0)
+    last = np.int32(0)
+    for k in range(grid.size):
+        if grid[k] < 0:
+            grid[k] = last
+        last = grid[k]
+    return grid
+
+
+class Locator:
+    """Starts the walk of a point location near its end, so that points may come in any order."""
+
+    def __init__(self, tin: Tin) -> None:
+        n = int(tin.counters[N_VERTICES])
+        xy = tin.vertex_array[: 4 * n].reshape(-1, 4)
+        self.west, self.south = int(xy[:, 0].min()), int(xy[:, 1].min())
+        wide, high = int(xy[:, 0].max()) - self.west + 1, int(xy[:, 1].max()) - self.south + 1
+        self.cell = max(int(np.sqrt(wide * high / (GRID_CELLS_PER_VERTEX * n))), (wide + high) // (8 * n + 64) + 1)
+        self.width, self.height = wide // self.cell + 1, high // self.cell + 1
+        self.grid = _start_grid(tin.vertex_array, n, self.west, self.south, self.cell, self.height, self.width)
+
+
+@kernel
+def _label(vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: Int32, grid: Int32, west: int, south: int, cell: int, height: int, width: int, in_doubt: UInt8, limits: Limits, floor: float, labels: UInt8, marked: npt.NDArray[np.bool_]) -> None:
+    for i in range(x.size):
+        column = min(max((x[i] - west) // cell, 0), width - 1)
+        row = min(max((y[i] - south) // cell, 0), height - 1)
+        t = np.int64(locate(vertices, triangles, x[i], y[i], np.int64(grid[row * width + column])))
+        marked[i] = in_doubt[t] != 0
+        labels[i] = 1
+        if is_ghost(triangles, t):
+            continue
+        v = coincident_vertex(vertices, triangles, x[i], y[i], t)
+        if v >= 0:
+            if float(z[i] - vertices[4 * v + 2]) * limits.z_ratio <= floor:
+                labels[i] = 2
+            continue
+        distance, _nearest, _cos2, _edge = facet_measures(vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio)
+        if abs(distance) <= floor:
+            labels[i] = 2
+            continue
+        passed, other = accepts(vertices, triangles, t, x[i], y[i], z[i], limits)
+        if in_doubt[other] != 0:
+            marked[i] = True
+        if passed:
+            labels[i] = 2
+
+
+def label_points(tin: Tin, locator: Locator, x: Int32, y: Int32, z: Int32, in_doubt: UInt8, limits: Limits, floor: float) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    """Ground or not, against the finished TIN.
+
+    Ours, not the papers': there, what lies in facets that take no more vertices is lost as type I. The rule is the one of
+    densification; besides, a point within ``floor`` of its facet is ground whatever its angle, since close to a
+    vertex noise alone makes any angle.
+
+    Parameters
+    ----------
+    tin : Tin
+    locator : Locator
+        Of this TIN as it is now.
+    x, y, z : int32 [n]
+        Local counts, in any order (fast where neighbours follow each other).
+    in_doubt : uint8 [triangles]
+        See `ptd.certify.Doubt.triangles`.
+    limits : Limits
+    floor : float
+        Horizontal counts.
+
+    Returns
+    -------
+    labels : uint8 [n]
+        1 unclassified, 2 ground.
+    marked : bool [n]
+        Points outside the window could change the label.
+    """
+    labels = np.ones(x.size, np.uint8)
+    marked = np.zeros(x.size, np.bool_)
+    if x.size and int(tin.counters[N_TRIANGLES]):
+        g = locator
+        _label(
+            tin.vertex_array, tin.triangle_array, x, y, z, g.grid, g.west, g.south, g.cell, g.height, g.width,
+            in_doubt, limits, floor, labels, marked,
+        )  # fmt: skip
+    return labels, marked
+
+
+class LowNoise:
+    """Where low outliers were found: points of the same cell that are not higher are low noise as well."""
+
+    def __init__(self, keys: Int64, heights: Int32) -> None:
+        order = np.lexsort((-heights.astype(np.int64), keys))
+        keys, heights = keys[order], heights[order]
+        first = np.ones(keys.size, np.bool_)
+        first[1:] = keys[1:] != keys[:-1]
+        self.keys, self.heights = keys[first], heights[first]
+
+    def holds(self, keys: Int64, z: Int32) -> npt.NDArray[np.bool_]:
+        """Whether points, given by cell key and height, are low noise."""
+        if self.keys.size == 0:
+            return np.zeros(keys.size, np.bool_)
+        place = np.minimum(np.searchsorted(self.keys, keys), self.keys.size - 1)
+        found: npt.NDArray[np.bool_] = (self.keys[place] == keys) & (z <= self.heights[place])
+        return found

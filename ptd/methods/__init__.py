@@ -1,0 +1,18 @@
+"""The table of methods."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ptd.methods import classic
+from ptd.params import parse
+from ptd.passes import Method
+
+METHODS: dict[str, Method] = {m.name: m for m in (classic.METHOD,)}
+
+
+def make_params(name: str, texts: dict[str, str] | None = None) -> Any:
+    """Parameters of a method from ``name=value`` texts; raises ValueError with one line."""
+    if name not in METHODS:
+        raise ValueError(f"no method {name!r}; there are {', '.join(METHODS)}")
+    return parse(METHODS[name].params, texts or {})

@@ -1,0 +1,195 @@
+"""``classic``: progressive TIN densification after Axelsson (2000), as TerraScan runs it.
+
+================  ==========================  ========  ==============================================================
+parameter         paper's name and value      default   reason
+================  ==========================  ========  ==============================================================
+max_building_size max building size 30 (000),  20 m     Ridge 2016's value; larger cells lose hill tops, smaller ones
+                  20 (003), TerraScan 60                take seeds on roofs
+terrain_angle     terrain angle 88            88 deg    the papers' value
+iteration_angle   iteration angle 6           see below the papers' value, or what the samples ask for
+iteration_distance iteration distance 1.4     1.4 m     the papers' value for slopes
+================  ==========================  ========  ==============================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import cell_keys, lowest_per_cell
+from ptd.certify import Doubt
+from ptd.criteria import Limits
+from ptd.densify import REFUSED, VERTEX, densify, insert_points
+from ptd.frame import Cells, Scale, Window
+from ptd.labelling import LOW_NOISE, Locator, LowNoise, label_points
+from ptd.outliers import low_outliers
+from ptd.params import check, parameter
+from ptd.passes import Int32, Method, State, UInt8
+from ptd.seeds import box_with_ring, choose_seeds
+from ptd.tin.layout import N_TRIANGLES, N_VERTICES
+from ptd.tin.mesh import Tin
+
+AXELSSON = "Axelsson 2000"
+
+
+@dataclass(frozen=True)
+class Classic:
+    """Parameters of `classic`; see the module's table."""
+
+    max_building_size_m: float = parameter(
+        20.0, "side of the cells whose lowest point is a seed: the largest building", unit="m",
+        minimum=1.0, maximum=1000.0, source="000 2.1, 003 4.2",
+    )  # fmt: skip
+    terrain_angle_deg: float = parameter(
+        88.0, "steepest terrain; on steeper facets a point is tested mirrored through their highest corner", unit="deg",
+        minimum=1.0, maximum=90.0, source="000 2.1",
+    )  # fmt: skip
+    iteration_angle_deg: float = parameter(
+        6.0, "largest angle between a facet and the line from a point to its nearest corner", unit="deg",
+        minimum=0.1, maximum=89.0, source=AXELSSON,
+    )  # fmt: skip
+    iteration_distance_m: float = parameter(
+        1.4, "largest distance of a point to its facet", unit="m", minimum=0.01, maximum=100.0, source=AXELSSON
+    )
+    edge_length_reduce_m: float = parameter(
+        0.0, "L1: the iteration angle shrinks on facets with shorter edges; 0: never", unit="m", minimum=0.0,
+        maximum=1000.0, source="000 2.3",
+    )  # fmt: skip
+    edge_length_stop_m: float = parameter(
+        0.0, "L2: facets with shorter edges take no more vertices; 0: all do", unit="m", minimum=0.0,
+        maximum=1000.0, source="000 2.3",
+    )  # fmt: skip
+    rounds: int = parameter(0, "rounds of densification; 0: until nothing passes", minimum=0, maximum=1000)
+    thin_cell_m: float = parameter(
+        1.0, "only the lowest point of a cell of this side can become a vertex; 0: every point", unit="m",
+        minimum=0.0, maximum=100.0, source="003 3.3",
+    )  # fmt: skip
+    low_radius_m: float = parameter(5.0, "low outliers: radius of the search", unit="m", minimum=1.0, maximum=50.0)
+    low_depth_m: float = parameter(
+        2.0, "low outliers: so far below everything within the radius but their own group", unit="m",
+        minimum=0.1, maximum=100.0,
+    )  # fmt: skip
+    low_group: int = parameter(5, "low outliers: candidates in a group at most; 0: no search", minimum=0, maximum=1000)
+    label_pass: bool = parameter(True, "points near the finished TIN become ground too, not only its vertices")
+    label_floor_m: float = parameter(
+        0.2, "last pass: closer to the TIN a point is ground at any angle", unit="m", minimum=0.0, maximum=10.0
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def passes(self) -> tuple[ClassicPass, ...]:
+        """One pass: everything is local."""
+        return (ClassicPass(self),)
+
+    @property
+    def halo_m(self) -> float:
+        """Measured to certify nearly every tile of a city: four seed cells."""
+        return 4.0 * self.max_building_size_m
+
+    @property
+    def align_m(self) -> float:
+        """Windows hold whole seed cells."""
+        return self.max_building_size_m
+
+    @property
+    def candidate_cell_m(self) -> float:
+        """Cell of which the lowest point is the candidate."""
+        return self.thin_cell_m
+
+
+@dataclass(frozen=True)
+class ClassicPass:
+    """The one pass of `classic`: outliers, seeds, densification."""
+
+    params: Classic
+    name: str = "classic"
+
+    def fit(self, candidates: Int32, window: Window, scale: Scale, state: State) -> ClassicModel:
+        """Densify the window's TIN."""
+        return ClassicModel(self.params, candidates, window, scale)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """Nothing is run-wide."""
+        return dict(state)
+
+
+class ClassicModel:
+    """A window's finished TIN."""
+
+    def __init__(self, params: Classic, candidates: Int32, window: Window, scale: Scale) -> None:
+        self.params, self.scale = params, scale
+        p = params
+        self.limits = Limits.of(
+            scale, distance_m=p.iteration_distance_m, angle_deg=p.iteration_angle_deg,
+            terrain_deg=p.terrain_angle_deg, reduce_m=p.edge_length_reduce_m, stop_m=p.edge_length_stop_m,
+        )  # fmt: skip
+        self.cells = Cells.of(p.thin_cell_m or 1.0, scale)
+        x, y, z = thinned(candidates, p.thin_cell_m, scale)
+        self.stats: dict[str, Any] = {"candidates": int(x.size), "rounds": 0, "low_outliers": 0, "vertices": 0}
+        self.tin: Tin | None = None
+        self.low = LowNoise(np.zeros(0, np.int64), np.zeros(0, np.int32))
+        if x.size:
+            self._densify(x, y, z, window)
+
+    def _densify(self, x: Int32, y: Int32, z: Int32, window: Window) -> None:
+        p, scale = self.params, self.scale
+        outlier, doubtful = low_outliers(x, y, z, scale, window, p.low_radius_m, p.low_depth_m, p.low_group)
+        self._col0, self._row0 = self.cells.column(int(x.min())), self.cells.row(int(y.min()))
+        self.low = LowNoise(self._keys(x[outlier], y[outlier]), z[outlier])
+        seed_cells = Cells.of(p.max_building_size_m, scale)
+        doubt = Doubt(window, box_with_ring(x, y, seed_cells), scale)
+        reach = int(np.ceil(scale.counts(p.low_radius_m))) if p.low_group else 0
+        seeds = choose_seeds(x, y, z, ~outlier, doubtful, seed_cells, window, reach, doubt)
+        state = np.where(outlier, np.uint8(REFUSED), np.uint8(0)).astype(np.uint8)
+        state[seeds.chosen] = VERTEX
+        first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
+        self.tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
+        _, rounds = densify(self.tin, x, y, z, state, self.limits, p.rounds, doubt)
+        self.in_doubt = doubt.triangles(
+            self.tin.vertex_array, self.tin.triangle_array, int(self.tin.counters[N_TRIANGLES])
+        )
+        self.locator = Locator(self.tin)
+        self.stats.update(rounds=rounds, low_outliers=int(outlier.sum()), vertices=int(self.tin.counters[N_VERTICES]))
+
+    def _keys(self, x: Int32, y: Int32) -> npt.NDArray[np.int64]:
+        c = self.cells
+        return cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, self._col0, self._row0, 1 << 31)
+
+    def label(self, xyz: Int32) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+        """Labels and marks of points of the window."""
+        x, y, z = (np.ascontiguousarray(c) for c in xyz)
+        if self.tin is None:
+            return np.ones(x.size, np.uint8), np.zeros(x.size, np.bool_)
+        floor = self.scale.counts(self.params.label_floor_m)
+        labels, marked = label_points(self.tin, self.locator, x, y, z, self.in_doubt, self.limits, floor)
+        if self.low.keys.size:
+            labels[(labels != 2) & self.low.holds(self._keys(x, y), z)] = LOW_NOISE
+        return labels, marked
+
+    def partial(self) -> dict[str, Any]:
+        """Nothing is run-wide."""
+        return {}
+
+
+def thinned(candidates: Int32, cell_m: float, scale: Scale) -> tuple[Int32, Int32, Int32]:
+    """The lowest candidate per cell, in row-major order of the cells; all of them, in such an order, if `cell_m` is 0."""
+    x, y, z = (np.ascontiguousarray(c) for c in candidates)
+    if x.size == 0:
+        return x, y, z
+    if cell_m:
+        keep: npt.NDArray[Any] = lowest_per_cell(x, y, z, Cells.of(cell_m, scale))
+    else:
+        c = Cells.of(1.0, scale)
+        col0, row0 = c.column(int(x.min())), c.row(int(y.min()))
+        keys = cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, col0, row0, 1 << 31)
+        keep = np.lexsort((z, y, x, keys))
+    return x[keep], y[keep], z[keep]
+
+
+METHOD = Method("classic", "progressive TIN densification (Axelsson 2000), the reference for airborne LiDAR", Classic)

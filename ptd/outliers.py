@@ -1,0 +1,107 @@
+"""Low outliers: points and small groups far below everything around them (multipath, matching blunders)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import CellIndex, Int32, Int64, slot_of
+from ptd.frame import Cells, Scale, Window
+from ptd.kernel import kernel
+
+MIN_NEIGHBOURS = 3
+"""So many points above are needed to call what lies below them an outlier: two points prove nothing."""
+
+
+@kernel
+def _low_points(
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    slots: Int32,
+    keys: Int64,
+    starts: Int64,
+    order: Int64,
+    width: int,
+    height: int,
+    point_columns: Int64,
+    point_rows: Int64,
+    reach: int,
+    radius: float,
+    depth: float,
+    group: int,
+) -> npt.NDArray[np.bool_]:
+    """Kernel of `low_outliers`: cells are searched ring by ring, so ordinary ground is done after a few points."""
+    out = np.zeros(x.size, np.bool_)
+    limit2 = radius * radius
+    for i in range(x.size):
+        level = 0
+        above = 0
+        for ring in range(reach + 1):
+            for row in range(point_rows[i] - ring, point_rows[i] + ring + 1):
+                edge_row = abs(row - point_rows[i]) == ring
+                step = 1 if edge_row or ring == 0 else 2 * ring
+                for column in range(point_columns[i] - ring, point_columns[i] + ring + 1, step):
+                    slot = slot_of(slots, keys, width, height, column, row)
+                    if slot < 0:
+                        continue
+                    for k in range(starts[slot], starts[slot + 1]):
+                        j = order[k]
+                        dx, dy = float(x[j] - x[i]), float(y[j] - y[i])
+                        if dx * dx + dy * dy > limit2:
+                            continue
+                        if z[j] - z[i] > depth:
+                            above += 1
+                        else:
+                            level += 1
+                if level > group:
+                    break
+            if level > group:
+                break
+        out[i] = level <= group and above >= MIN_NEIGHBOURS
+    return out
+
+
+def low_outliers(
+    x: Int32, y: Int32, z: Int32, scale: Scale, window: Window, radius_m: float, depth_m: float, group: int
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Points that, with at most ``group - 1`` others, lie alone at the bottom of a hole.
+
+    A point is a low outlier if at most ``group`` points within ``radius_m`` (itself included) are less than ``depth_m``
+    above it or below it, and at least three are higher than that. This is TerraScan's "low points" idea for groups; it looks
+    at each point's own neighbourhood alone, so neither order nor tile matter.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts, best in row-major order of cells.
+    scale : Scale
+    window : Window
+        Where all points are known.
+    radius_m, depth_m : float
+        Metres.
+    group : int
+        Points; 0 finds nothing.
+
+    Returns
+    -------
+    outlier : bool [n]
+    doubtful : bool [n]
+        The neighbourhood reaches beyond the window.
+    """
+    none = np.zeros(x.size, np.bool_)
+    if x.size == 0 or group == 0:
+        return none, none
+    cells = Cells.of(1.0, scale)
+    index = CellIndex(x, y, cells)
+    columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p - index.col0
+    rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p - index.row0
+    radius = scale.counts(radius_m)
+    reach = int(np.ceil(radius_m)) + 1
+    outlier = _low_points(
+        x, y, z, index.slots, index.keys, index.starts, index.order, index.width, index.height,
+        columns, rows, reach, radius, scale.counts_z(depth_m), group,
+    )  # fmt: skip
+    inner = window.shrink(int(np.ceil(radius)))
+    doubtful = (x < inner.west) | (x >= inner.east) | (y < inner.south) | (y >= inner.north)
+    return outlier, doubtful

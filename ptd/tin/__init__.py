@@ -1,0 +1,16 @@
+"""Exact, unique, incremental Delaunay TIN and its interpolation. Kernels: see the modules; layout: `layout`."""
+
+from ptd.tin.gridding import EVERYWHERE, Pixels, Raster, Window, pixel_owners, rasterise
+from ptd.tin.mesh import MAX_EXTENT, Inserted, Tin
+
+__all__ = [
+    "EVERYWHERE",
+    "MAX_EXTENT",
+    "Inserted",
+    "Pixels",
+    "Raster",
+    "Tin",
+    "Window",
+    "pixel_owners",
+    "rasterise",
+]

@@ -1,0 +1,118 @@
+"""Bulk construction: gather the points in a coarse-to-fine order, then insert one after another."""
+
+import numpy as np
+
+from ptd.kernel import kernel
+from ptd.tin.insertion import link_vertex, lower_vertex, start_triangulation
+from ptd.tin.layout import N_VERTICES, Int32Array
+from ptd.tin.location import coincident_vertex, walk
+from ptd.tin.order import curve_order, round_order
+from ptd.tin.predicates import cross_at
+
+__all__ = ["build"]
+
+
+@kernel
+def _seeds(vertices: Int32Array, n: int) -> tuple[int, int]:
+    """Rows j < k of the first points that make a triangle with row 0, or (-1, -1) if all are collinear."""
+    j = 1
+    while j < n and vertices[4 * j] == vertices[0] and vertices[4 * j + 1] == vertices[1]:
+        j += 1
+    for k in range(j + 1, n):
+        if (
+            cross_at(
+                vertices[4 * k],
+                vertices[4 * k + 1],
+                vertices[0],
+                vertices[1],
+                vertices[4 * j],
+                vertices[4 * j + 1],
+            )
+            != 0
+        ):
+            return j, k
+    return -1, -1
+
+
+@kernel
+def _swap_rows(vertices: Int32Array, i: int, j: int) -> None:
+    for column in range(4):
+        kept = vertices[4 * i + column]
+        vertices[4 * i + column] = vertices[4 * j + column]
+        vertices[4 * j + column] = kept
+
+
+@kernel
+def _keep_distinct(vertices: Int32Array, n: int) -> int:
+    """Collinear points: sort the rows by (x, y), keep the lowest z of each position; returns how many are left."""
+    key = np.empty(n, np.int64)
+    for i in range(n):
+        key[i] = (np.int64(vertices[4 * i]) << 32) + vertices[4 * i + 1]
+    order = np.argsort(key)
+    rows = vertices[: 4 * n].copy()
+    kept = 0
+    for place in range(n):
+        i = 4 * order[place]
+        last = 4 * kept - 4
+        if kept > 0 and rows[i] == vertices[last] and rows[i + 1] == vertices[last + 1]:
+            vertices[last + 2] = min(vertices[last + 2], rows[i + 2])
+            continue
+        for column in range(3):
+            vertices[last + 4 + column] = rows[i + column]
+        vertices[last + 7] = -1
+        kept += 1
+    return kept
+
+
+@kernel
+def build(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    x: Int32Array,
+    y: Int32Array,
+    z: Int32Array,
+    stamp: int,
+) -> None:
+    """Triangulate all points at once.
+
+    Parameters
+    ----------
+    vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
+        Of an empty TIN, with room for as many vertices as there are points, repeated positions included.
+    x, y, z : int32 [n]
+        Positions in counts, in any order. Differences of x and of y have to stay below 2**26: not checked here.
+    stamp : int
+        Written to each triangle.
+    """
+    n = x.size
+    order = round_order(curve_order(x, y))
+    for i in range(n):
+        vertices[4 * i] = x[order[i]]
+        vertices[4 * i + 1] = y[order[i]]
+        vertices[4 * i + 2] = z[order[i]]
+    j, k = _seeds(vertices, n)
+    if k < 0:
+        counters[N_VERTICES] = _keep_distinct(vertices, n)
+        return
+    _swap_rows(vertices, 1, j)
+    _swap_rows(vertices, 2, k)
+    start_triangulation(vertices, triangles, counters, 0, 1, 2, stamp)
+    # Rows are read ahead of where they are kept, so repeated positions leave no holes.
+    kept = 3
+    hint = 0
+    for i in range(3, n):
+        px, py, pz = vertices[4 * i], vertices[4 * i + 1], vertices[4 * i + 2]
+        first = walk(vertices, triangles, px, py, hint)
+        v = coincident_vertex(vertices, triangles, px, py, first)
+        if v >= 0:
+            lower_vertex(vertices, triangles, counters, v, pz, stamp)
+            hint = first
+            continue
+        vertices[4 * kept] = px
+        vertices[4 * kept + 1] = py
+        vertices[4 * kept + 2] = pz
+        link_vertex(vertices, triangles, counters, kept, first, stamp)
+        hint = vertices[4 * kept + 3]
+        kept += 1
+    counters[N_VERTICES] = kept

@@ -1,0 +1,137 @@
+"""Which facets count (rule) and which are final whatever lies outside the window (certificate)."""
+
+import math
+from typing import NamedTuple
+
+from ptd.kernel import kernel
+from ptd.tin.interpolation import canonical_facet
+from ptd.tin.layout import Int32Array, is_ghost
+
+__all__ = ["Rule", "Sides", "circle_inside", "facet_certified", "facet_passes", "unbounded"]
+
+# 32 units of rounding: a bound with room to spare for the few operations that make a centre. Inputs may be
+# rounded sums of squares and products (pixel centres), so they are counted in.
+_ROUNDING = 32.0 * 2.0**-53
+
+
+class Rule(NamedTuple):
+    """Limits of a facet that is filled.
+
+    Attributes
+    ----------
+    max_edge2 : int64
+        Square of the longest edge, counts squared; compared exactly.
+    max_radius : float64
+        Largest circumradius, counts, may be infinite; compared in float64 in one canonical order of the
+        vertices, so that the answer does not depend on insertion, tile or frame.
+    """
+
+    max_edge2: int
+    max_radius: float
+
+
+class Sides(NamedTuple):
+    """Limits of the window in which all data are known: float64, local counts.
+
+    Data are unknown at x < west, y < south, x > east, y > north. A side beyond which there are none is at infinity.
+    """
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+
+@kernel
+def unbounded(sides: Sides) -> bool:
+    """Whether all data are known."""
+    return (
+        sides.west == -math.inf
+        and sides.south == -math.inf
+        and sides.east == math.inf
+        and sides.north == math.inf
+    )
+
+
+@kernel
+def facet_passes(vertices: Int32Array, triangles: Int32Array, triangle: int, rule: Rule) -> bool:
+    """Whether a real facet has its longest edge and its circumradius within the limits.
+
+    Parameters
+    ----------
+    vertices, triangles : int32 arrays, see `ptd.tin.layout`
+    triangle : int
+        A ghost never passes.
+    rule : Rule
+    """
+    if is_ghost(triangles, triangle):
+        return False
+    a, b, c = canonical_facet(vertices, triangles, triangle)
+    ax, ay = vertices[4 * a], vertices[4 * a + 1]
+    bx, by = vertices[4 * b] - ax, vertices[4 * b + 1] - ay
+    cx, cy = vertices[4 * c] - ax, vertices[4 * c + 1] - ay
+    ab, ac = bx * bx + by * by, cx * cx + cy * cy
+    bc = (cx - bx) * (cx - bx) + (cy - by) * (cy - by)
+    if ab > rule.max_edge2 or ac > rule.max_edge2 or bc > rule.max_edge2:
+        return False
+    if rule.max_radius == math.inf:
+        return True
+    doubled = 2.0 * float(bx * cy - by * cx) * rule.max_radius
+    return float(ab) * float(bc) * float(ac) <= doubled * doubled
+
+
+@kernel
+def circle_inside(
+    x: float, y: float, bx: float, by: float, cx: float, cy: float, sides: Sides
+) -> bool:
+    """Whether the circle through a = (x, y), a + b and a + c surely stays inside the window.
+
+    "Surely": the bound of the rounding error is added to the radius, so the answer may be a wrong no, never a
+    wrong yes. A circle without a radius is inside nothing but the whole plane.
+    """
+    b2, c2 = bx * bx + by * by, cx * cx + cy * cy
+    area = 2.0 * (bx * cy - by * cx)
+    spread = abs(bx * cy) + abs(by * cx)
+    if abs(area) <= _ROUNDING * 2.0**10 * spread:  # the terms cancel: no digit of the centre can be trusted
+        return unbounded(sides)
+    dx = (cy * b2 - by * c2) / area
+    dy = (bx * c2 - cx * b2) / area
+    terms = (abs(cy) + abs(cx)) * b2 + (abs(by) + abs(bx)) * c2
+    error = _ROUNDING * (terms + spread * (abs(dx) + abs(dy))) / abs(area)
+    reach = math.sqrt(dx * dx + dy * dy) + 3.0 * error
+    return (
+        x + dx - reach >= sides.west
+        and x + dx + reach <= sides.east
+        and y + dy - reach >= sides.south
+        and y + dy + reach <= sides.north
+    )
+
+
+@kernel
+def facet_certified(vertices: Int32Array, triangles: Int32Array, triangle: int, sides: Sides) -> bool:
+    """Whether no point outside the window can lie in the circumcircle of a triangle.
+
+    Such a triangle belongs to the triangulation of any larger set of data that agrees inside the window.
+
+    Parameters
+    ----------
+    vertices, triangles : int32 arrays, see `ptd.tin.layout`
+    triangle : int
+        The circle of a ghost is a half-plane: only a window without sides contains it.
+    sides : Sides
+    """
+    if unbounded(sides):
+        return True
+    if is_ghost(triangles, triangle):
+        return False
+    a, b, c = canonical_facet(vertices, triangles, triangle)
+    ax, ay = vertices[4 * a], vertices[4 * a + 1]
+    return circle_inside(
+        float(ax),
+        float(ay),
+        float(vertices[4 * b] - ax),
+        float(vertices[4 * b + 1] - ay),
+        float(vertices[4 * c] - ax),
+        float(vertices[4 * c + 1] - ay),
+        sides,
+    )

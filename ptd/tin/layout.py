@@ -1,0 +1,126 @@
+"""How a TIN lies in memory: three flat int32 arrays, and the kernels that read them.
+
+``vertices`` (4 int32 a vertex)
+    ``vertices[4 * v + 0 .. 2]`` are x, y, z in counts, ``vertices[4 * v + 3]`` is one incident triangle (-1 as
+    long as all vertices are collinear and there is no triangle at all).
+
+``triangles`` (8 int32 a triangle)
+    ``triangles[8 * t + 0 .. 2]`` are the twins of its three half-edges, ``[8 * t + 3]`` the stamp of its last
+    change, ``[8 * t + 4 .. 6]`` its vertices counter-clockwise, ``[8 * t + 7]`` is free for the caller (zeroed
+    when the triangle is created or changed).
+
+    A *half-edge* is the number ``h = 8 * t + j``, j = 0, 1, 2. It lies opposite vertex j of triangle t, so
+    ``triangles[h]`` is its twin (again a half-edge number), ``triangles[h + 4]`` the vertex opposite, ``h >> 3`` its
+    triangle; no search for the mirror index is ever needed.
+
+``counters`` (int32)
+    The first `HEADER` entries are named below, the rest is scratch for insertion.
+
+The *ghost* vertex (-1) lies at infinity. Each edge a -> b of the counter-clockwise hull carries a ghost triangle
+with the vertices b, a, ghost in cyclic order, so each half-edge has a twin, and n vertices, not all collinear,
+make 2 n - 2 triangles: 16 + 64 = 80 bytes a vertex.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.kernel import kernel
+
+__all__ = [
+    "EVENT",
+    "EVENT_FULL",
+    "EVENT_KEPT",
+    "EVENT_LOWERED",
+    "EVENT_NEW",
+    "GHOST",
+    "HEADER",
+    "MAX_VERTICES",
+    "N_TRIANGLES",
+    "N_VERTICES",
+    "SPARE",
+    "STAMP",
+    "VERTEX",
+    "Int32Array",
+    "counters_array",
+    "is_ghost",
+    "next_edge",
+    "previous_edge",
+    "real_neighbour",
+    "triangle_vertices",
+    "triangles_array",
+    "vertices_array",
+]
+
+Int32Array = npt.NDArray[np.int32]
+
+GHOST = -1
+STAMP = 3  # column of a triangle
+VERTEX = 4  # first vertex column of a triangle
+SPARE = 7  # column of a triangle
+
+N_VERTICES = 0  # entries of `counters`
+N_TRIANGLES = 1
+EVENT = 2  # what the last `insert` did: one of the four below
+HEADER = 8
+
+EVENT_KEPT = 0  # the position was taken by a vertex that is not higher; nothing changed
+EVENT_LOWERED = 1  # the position was taken by a higher vertex, whose z was lowered
+EVENT_NEW = 2  # a new vertex
+EVENT_FULL = 3  # no room for another vertex; nothing changed
+
+MAX_VERTICES = 2**27  # half-edge numbers have to fit int32
+_SCRATCH = 4 * 256
+
+
+def vertices_array(max_vertices: int) -> Int32Array:
+    """Room for `max_vertices` vertices: int32 [4 * max_vertices]."""
+    return np.empty(4 * max_vertices, np.int32)
+
+
+def triangles_array(max_vertices: int) -> Int32Array:
+    """Room for the triangles of `max_vertices` vertices: int32 [16 * max_vertices]."""
+    return np.empty(16 * max_vertices, np.int32)
+
+
+def counters_array() -> Int32Array:
+    """Counters of an empty TIN, with scratch for cavities of ordinary size: int32 [HEADER + 1024]."""
+    return np.zeros(HEADER + _SCRATCH, np.int32)
+
+
+@kernel
+def next_edge(edge: int) -> int:
+    """Half-edge that follows `edge` counter-clockwise in its triangle."""
+    return edge - 2 if (edge & 3) == 2 else edge + 1
+
+
+@kernel
+def previous_edge(edge: int) -> int:
+    """Half-edge that precedes `edge` counter-clockwise in its triangle."""
+    return edge + 2 if (edge & 3) == 0 else edge - 1
+
+
+@kernel
+def is_ghost(triangles: Int32Array, triangle: int) -> bool:
+    """Whether `triangle` has the vertex at infinity, that is, lies outside the hull."""
+    row = 8 * triangle
+    return bool((triangles[row + 4] | triangles[row + 5] | triangles[row + 6]) < 0)
+
+
+@kernel
+def triangle_vertices(triangles: Int32Array, triangle: int) -> tuple[int, int, int]:
+    """Vertex numbers of `triangle`, counter-clockwise, starting anywhere (a ghost is -1)."""
+    row = 8 * triangle
+    return int(triangles[row + 4]), int(triangles[row + 5]), int(triangles[row + 6])
+
+
+@kernel
+def real_neighbour(triangles: Int32Array, triangle: int) -> int:
+    """`triangle` itself if it is real, otherwise the real triangle on the other side of its hull edge."""
+    row = 8 * triangle
+    if triangles[row + 4] < 0:
+        return int(triangles[row] >> 3)
+    if triangles[row + 5] < 0:
+        return int(triangles[row + 1] >> 3)
+    if triangles[row + 6] < 0:
+        return int(triangles[row + 2] >> 3)
+    return triangle

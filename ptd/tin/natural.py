@@ -1,0 +1,271 @@
+"""Natural neighbour interpolation (Sibson, A brief description of natural neighbour interpolation, 1981).
+
+The weight of a neighbour is the area that the Voronoi cell of the inserted position takes from the neighbour's cell.
+These weights reproduce linear functions, so only the heights above the plane of the facet that contains the
+position are averaged and the plane is added: planes come out to the last bit, whatever the rounding of the areas.
+
+All lengths are relative to the position and each sum starts at the lexicographically smallest member of its ring or
+polygon, so the result does not depend on insertion, tile or frame.
+"""
+
+import math
+
+import numpy as np
+
+from ptd.kernel import kernel, wide
+from ptd.tin.circles import Sides, circle_inside, facet_certified, unbounded
+from ptd.tin.interpolation import Float64Array, canonical_facet, plane_height
+from ptd.tin.layout import HEADER, Int32Array, is_ghost, next_edge, previous_edge
+from ptd.tin.predicates import lexicographic_less
+from ptd.tin.raster import NO_OWNER, Lattice, UInt8Array
+
+__all__ = ["natural_heights"]
+
+# Shewchuk's bound of the error of the in-circle determinant with rounded differences and products is
+# 10 units of rounding and a bit; a position that near a circle takes no area worth counting.
+_ERROR = 16.0 * 2.0**-53
+
+
+@kernel
+def _centre(bx: float, by: float, cx: float, cy: float) -> tuple[float, float]:
+    """Centre of the circle through the origin, b and c."""
+    b2, c2 = bx * bx + by * by, cx * cx + cy * cy
+    area = 2.0 * (bx * cy - by * cx)
+    return (cy * b2 - by * c2) / area, (bx * c2 - cx * b2) / area
+
+
+@kernel
+def _offset(vertices: Int32Array, v: int, x: int, y: int, scale: int) -> tuple[float, float]:
+    """Vertex relative to the position, counts."""
+    return (
+        float(scale * vertices[4 * v] - x) / scale,
+        float(scale * vertices[4 * v + 1] - y) / scale,
+    )
+
+
+@kernel
+def _facet_centre(
+    vertices: Int32Array, triangles: Int32Array, triangle: int, x: int, y: int, scale: int
+) -> tuple[float, float]:
+    """Centre of the circumcircle of a real triangle relative to the position."""
+    a, b, c = canonical_facet(vertices, triangles, triangle)
+    ax, ay = _offset(vertices, a, x, y, scale)
+    ox, oy = _centre(
+        float(vertices[4 * b] - vertices[4 * a]),
+        float(vertices[4 * b + 1] - vertices[4 * a + 1]),
+        float(vertices[4 * c] - vertices[4 * a]),
+        float(vertices[4 * c + 1] - vertices[4 * a + 1]),
+    )
+    return ax + ox, ay + oy
+
+
+@kernel
+def _surely_inside(
+    vertices: Int32Array, triangles: Int32Array, triangle: int, x: int, y: int, scale: int
+) -> bool:
+    """Whether the position lies inside the circumcircle of a real triangle by more than rounding."""
+    a, b, c = canonical_facet(vertices, triangles, triangle)
+    ax, ay = _offset(vertices, a, x, y, scale)
+    bx, by = _offset(vertices, b, x, y, scale)
+    cx, cy = _offset(vertices, c, x, y, scale)
+    a2, b2, c2 = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
+    value = a2 * (bx * cy - by * cx) + b2 * (cx * ay - cy * ax) + c2 * (ax * by - ay * bx)
+    size = (
+        a2 * (abs(bx * cy) + abs(by * cx))
+        + b2 * (abs(cx * ay) + abs(cy * ax))
+        + c2 * (abs(ax * by) + abs(ay * bx))
+    )
+    return value > _ERROR * size
+
+
+@kernel
+def _rim(
+    vertices: Int32Array, triangles: Int32Array, scratch: Int32Array, first: int, x: int, y: int, scale: int
+) -> int:
+    """Write the rim of the triangles in conflict with the position to `scratch`, counter-clockwise.
+
+    From HEADER on the half-edges *inside*, from the middle on the stack. Returns their number, 0 if a ghost is
+    in conflict (on the hull), -1 if `scratch` is too small.
+    """
+    room = (scratch.size - HEADER) >> 1
+    bottom = HEADER + room
+    n = 0
+    scratch[bottom] = 8 * first + 2
+    scratch[bottom + 1] = 8 * first + 1
+    scratch[bottom + 2] = 8 * first
+    top = bottom + 3
+    while top > bottom:
+        top -= 1
+        edge = wide(scratch[top])
+        outer = wide(triangles[edge])
+        t = outer >> 3
+        if is_ghost(triangles, t):
+            a = wide(triangles[next_edge(edge) + 4])
+            b = wide(triangles[previous_edge(edge) + 4])
+            side = wide(vertices[4 * b] - vertices[4 * a]) * (y - scale * vertices[4 * a + 1]) - wide(
+                vertices[4 * b + 1] - vertices[4 * a + 1]
+            ) * (x - scale * vertices[4 * a])
+            if side <= 0:
+                return 0
+        elif _surely_inside(vertices, triangles, t, x, y, scale):
+            if n + (top - bottom) + 4 > room:
+                return -1
+            scratch[top] = previous_edge(outer)
+            scratch[top + 1] = next_edge(outer)
+            top += 2
+            continue
+        scratch[HEADER + n] = edge
+        n += 1
+    return n
+
+
+@kernel
+def _stolen_area(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    edge: int,
+    last_edge: int,
+    x: int,
+    y: int,
+    scale: int,
+    before_x: float,
+    before_y: float,
+    after_x: float,
+    after_y: float,
+) -> float:
+    """Twice the area that the position takes from the cell of the vertex where the rim's half-edge `edge` starts.
+
+    Its corners are the new centre on the rim edge that ends in the vertex (`last_edge`, before), the one on `edge`
+    (after), and the old centres of the triangles around the vertex from `edge` back to `last_edge`. Relative to
+    the centre before, so that far centres cancel little.
+    """
+    ux, uy = after_x - before_x, after_y - before_y
+    total = 0.0
+    while True:
+        cx, cy = _facet_centre(vertices, triangles, edge >> 3, x, y, scale)
+        cx -= before_x
+        cy -= before_y
+        total += ux * cy - uy * cx
+        ux, uy = cx, cy
+        if edge >> 3 == last_edge >> 3:
+            return total
+        # The edge of this triangle that ends in the vertex, seen from the other side, starts there.
+        edge = wide(triangles[previous_edge(edge)])
+
+
+@kernel
+def _position_height(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    rim: Int32Array,
+    n: int,
+    owner: int,
+    x: int,
+    y: int,
+    scale: int,
+) -> float:
+    """Sibson's interpolant at a position strictly inside the hull; `rim` is what `_rim` found."""
+    base = plane_height(vertices, triangles, owner, x, y, scale)
+    start = 0
+    for i in range(1, n):
+        v = 4 * wide(triangles[next_edge(wide(rim[HEADER + i])) + 4])
+        w = 4 * wide(triangles[next_edge(wide(rim[HEADER + start])) + 4])
+        if lexicographic_less(vertices[v], vertices[v + 1], vertices[w], vertices[w + 1]):
+            start = i
+    last = wide(rim[HEADER + (start + n - 1) % n])
+    ax, ay = _offset(vertices, wide(triangles[next_edge(last) + 4]), x, y, scale)
+    bx, by = _offset(vertices, wide(triangles[previous_edge(last) + 4]), x, y, scale)
+    before_x, before_y = _centre(ax, ay, bx, by)
+    weights, rises = 0.0, 0.0
+    for i in range(n):
+        edge = wide(rim[HEADER + (start + i) % n])
+        v = wide(triangles[next_edge(edge) + 4])
+        ax, ay = bx, by
+        bx, by = _offset(vertices, wide(triangles[previous_edge(edge) + 4]), x, y, scale)
+        after_x, after_y = _centre(ax, ay, bx, by)
+        weight = _stolen_area(
+            vertices, triangles, edge, last, x, y, scale, before_x, before_y, after_x, after_y
+        )
+        plane = plane_height(
+            vertices, triangles, owner, scale * vertices[4 * v], scale * vertices[4 * v + 1], scale
+        )
+        weights += weight
+        rises += weight * (vertices[4 * v + 2] - plane)
+        last = edge
+        before_x, before_y = after_x, after_y
+    if not (weights > 0.0 and math.isfinite(rises)):
+        return base
+    return base + math.floor(rises / weights * 2.0**20 + 0.5) / 2.0**20
+
+
+@kernel
+def _rim_certified(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    rim: Int32Array,
+    n: int,
+    x: int,
+    y: int,
+    scale: int,
+    sides: Sides,
+) -> bool:
+    """Whether no point outside the window can change the natural neighbours."""
+    px, py = float(x) / scale, float(y) / scale
+    for i in range(n):
+        edge = wide(rim[HEADER + i])
+        ax, ay = _offset(vertices, wide(triangles[next_edge(edge) + 4]), x, y, scale)
+        bx, by = _offset(vertices, wide(triangles[previous_edge(edge) + 4]), x, y, scale)
+        if not circle_inside(px, py, ax, ay, bx, by, sides):
+            return False
+        if not facet_certified(vertices, triangles, edge >> 3, sides):
+            return False
+    return True
+
+
+@kernel
+def natural_heights(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    owners: Int32Array,
+    marks: UInt8Array,
+    lattice: Lattice,
+    sides: Sides,
+) -> Float64Array:
+    """Natural neighbour heights of the owned pixels: float64 [rows, columns], counts, NaN without owner.
+
+    On a vertex the vertex's z; on an edge of the hull linear along the edge.
+
+    Parameters
+    ----------
+    vertices, triangles, owners, lattice, sides
+        As for and from `ptd.tin.raster.scan`.
+    marks : uint8 [rows, columns]
+        From there; set to 1 where data outside the window could change the neighbours.
+    """
+    x0, y0, step, scale = lattice
+    out = np.empty(owners.shape, np.float64)
+    scratch = np.empty(HEADER + 1024, np.int32)
+    for row in range(owners.shape[0]):
+        y = y0 - row * step
+        for column in range(owners.shape[1]):
+            owner = wide(owners[row, column])
+            if owner == NO_OWNER:
+                out[row, column] = np.nan
+                continue
+            if owner < 0:
+                out[row, column] = vertices[4 * (-2 - owner) + 2]
+                continue
+            x = x0 + column * step
+            n = _rim(vertices, triangles, scratch, owner, x, y, scale)
+            while n < 0:
+                scratch = np.empty(4 * scratch.size, np.int32)
+                n = _rim(vertices, triangles, scratch, owner, x, y, scale)
+            if n == 0:
+                out[row, column] = plane_height(vertices, triangles, owner, x, y, scale)
+                continue
+            out[row, column] = _position_height(vertices, triangles, scratch, n, owner, x, y, scale)
+            if not unbounded(sides) and not _rim_certified(
+                vertices, triangles, scratch, n, x, y, scale, sides
+            ):
+                marks[row, column] = 1
+    return out

@@ -1,0 +1,303 @@
+"""Gridding of a TIN: which facet owns each pixel centre, and what height that gives.
+
+Rasters have row 0 in the north. The centre of the pixel with the global indices (column, iy) lies at
+((2 column + 1) p / (2 q), (2 iy + 1) p / (2 q)) absolute counts, p / q counts being the cell size; iy grows to the north,
+so ``row = top - iy``.
+
+All positions are scaled by 2 q, which makes them integers. The side of an edge on which a centre lies is the cross
+product of the unscaled edge (below 2**26) and the scaled offset (below 2**26 * 2 q): for q <= 2**7 it is below 2**61
+and exact in int64.
+
+A centre on an edge belongs to the side whose opposite vertex is lexicographically smaller in (x, y), *among the sides
+that pass the rule*; a centre on a vertex takes the vertex's z if any facet around it passes. (If sides that do
+not pass had a say too, unknown data beyond the window could change a pixel from any distance.)
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.kernel import kernel, wide
+from ptd.tin.circles import Rule, Sides, facet_certified, facet_passes
+from ptd.tin.interpolation import Float64Array, plane_height
+from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, next_edge
+from ptd.tin.predicates import lexicographic_less
+
+__all__ = ["NO_OWNER", "Lattice", "UInt8Array", "scan"]
+
+UInt8Array = npt.NDArray[np.uint8]
+
+NO_OWNER = -1  # of a pixel; below it, -2 - v stands for vertex v
+
+_WIDE = 6  # columns from which on it pays to cut each row to the triangle
+
+
+class Lattice(NamedTuple):
+    """Pixel centres: int64, in local units of 1 / `scale` count.
+
+    Attributes
+    ----------
+    x0, y0
+        Centre of pixel (0, 0).
+    step
+        Distance of the centres; columns go to the east, rows to the south.
+    scale
+        Units in a count, at most 2**8.
+    """
+
+    x0: int
+    y0: int
+    step: int
+    scale: int
+
+
+@kernel
+def _mark_near_sides(marks: UInt8Array, lattice: Lattice, rule: Rule, sides: Sides) -> None:
+    """Mark each pixel whose facet could pass the rule thanks to unknown data.
+
+    The circle of a passing facet through the pixel reaches at most 2 `max_radius` from it; if the window
+    reaches farther, that facet is known.
+    """
+    reach = 2.0 * rule.max_radius * (1.0 + 2.0**-20) + 2.0
+    known = np.empty(marks.shape[1], np.bool_)
+    for column in range(marks.shape[1]):
+        x = float(lattice.x0 + column * lattice.step) / lattice.scale
+        known[column] = x - reach >= sides.west and x + reach <= sides.east
+    for row in range(marks.shape[0]):
+        y = float(lattice.y0 - row * lattice.step) / lattice.scale
+        row_known = y - reach >= sides.south and y + reach <= sides.north
+        for column in range(marks.shape[1]):
+            marks[row, column] = 0 if row_known and known[column] else 1
+
+
+@kernel
+def _own_vertex(
+    vertices: Int32Array, triangles: Int32Array, v: int, rule: Rule, sides: Sides
+) -> tuple[bool, bool]:
+    """Whether any facet around a vertex passes, and whether that is certain."""
+    edge = 8 * wide(vertices[4 * v + 3])
+    while triangles[edge + 4] != v:
+        edge += 1
+    start = edge >> 3
+    owned, final, all_certified = False, False, True
+    while True:
+        t = edge >> 3
+        certified = facet_certified(vertices, triangles, t, sides)
+        all_certified = all_certified and certified
+        if facet_passes(vertices, triangles, t, rule):
+            owned = True
+            final = final or certified
+        edge = wide(next_edge(wide(triangles[next_edge(edge)])))
+        if edge >> 3 == start:
+            return owned, final or all_certified
+
+
+@kernel
+def _own_vertices(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    owners: Int32Array,
+    heights: Float64Array,
+    marks: UInt8Array,
+    lattice: Lattice,
+    rule: Rule,
+    sides: Sides,
+) -> None:
+    """Pixels whose centre is a vertex."""
+    x0, y0, step, scale = lattice
+    inverse = 1.0 / float(step)
+    rows, columns = marks.shape
+    for v in range(counters[N_VERTICES]):
+        x = scale * wide(vertices[4 * v]) - x0
+        column = math.floor(float(x) * inverse + 0.5)
+        if column * step != x or column < 0 or column >= columns:
+            continue
+        y = y0 - scale * wide(vertices[4 * v + 1])
+        row = math.floor(float(y) * inverse + 0.5)
+        if row * step != y or row < 0 or row >= rows:
+            continue
+        owned, final = _own_vertex(vertices, triangles, wide(v), rule, sides)
+        if owned and owners.size > 0:
+            owners[row, column] = -2 - v
+        if owned and heights.size > 0:
+            heights[row, column] = vertices[4 * v + 2]
+        if final:
+            marks[row, column] = 0
+
+
+@kernel
+def _wins_edge(vertices: Int32Array, triangles: Int32Array, edge: int, rule: Rule) -> bool:
+    """Whether the (passing) facet of `edge` owns the centres on it."""
+    twin = wide(triangles[edge])
+    if not facet_passes(vertices, triangles, twin >> 3, rule):
+        return True
+    own, other = triangles[edge + 4], triangles[twin + 4]
+    return lexicographic_less(
+        vertices[4 * own], vertices[4 * own + 1], vertices[4 * other], vertices[4 * other + 1]
+    )
+
+
+@kernel
+def _own_pixel(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    edge: int,
+    owners: Int32Array,
+    heights: Float64Array,
+    marks: UInt8Array,
+    row: int,
+    column: int,
+    lattice: Lattice,
+    rule: Rule,
+    sides: Sides,
+) -> None:
+    """One pixel whose centre lies inside facet `t`, or on its half-edge `edge` (-1 for none)."""
+    if (owners.size > 0 or heights.size > 0) and facet_passes(vertices, triangles, t, rule):
+        if edge < 0 or _wins_edge(vertices, triangles, edge, rule):
+            if owners.size > 0:
+                owners[row, column] = t
+            if heights.size > 0:
+                x = lattice.x0 + column * lattice.step
+                y = lattice.y0 - row * lattice.step
+                heights[row, column] = plane_height(vertices, triangles, t, x, y, lattice.scale)
+    if marks[row, column] and facet_certified(vertices, triangles, t, sides):
+        if edge < 0 or facet_certified(vertices, triangles, wide(triangles[edge]) >> 3, sides):
+            marks[row, column] = 0
+
+
+@kernel
+def _cut(value: int, slope: int, low: int, high: int) -> tuple[int, int]:
+    """Narrow the columns [low, high] to those where value + slope * (column - low) may be >= 0.
+
+    In float64, one column wider on either side than computed: it saves time only, the exact test follows.
+    """
+    if slope == 0:
+        return (low, low - 1) if value < 0 else (low, high)
+    at = -float(value) / float(slope)
+    if slope > 0:
+        if at > float(high - low) + 1.0:
+            return low, low - 1
+        return low + max(wide(0), wide(math.floor(at)) - 1), high
+    if at < -1.0:
+        return low, low - 1
+    return low, low + min(high - low, math.ceil(min(at, float(high - low))) + 1)
+
+
+@kernel
+def _own_facet(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    owners: Int32Array,
+    heights: Float64Array,
+    marks: UInt8Array,
+    box: tuple[int, int, int, int],
+    lattice: Lattice,
+    rule: Rule,
+    sides: Sides,
+) -> None:
+    """Pixels in the box (top, bottom, left, right, inclusive) whose centre lies in real triangle `t`."""
+    x0, y0, step, scale = lattice
+    top, bottom, left, right = box
+    i, j, k = 4 * triangles[8 * t + 4], 4 * triangles[8 * t + 5], 4 * triangles[8 * t + 6]
+    ax, ay = wide(vertices[i]), wide(vertices[i + 1])
+    bx, by = wide(vertices[j]), wide(vertices[j + 1])
+    cx, cy = wide(vertices[k]), wide(vertices[k + 1])
+    px = x0 + left * step
+    # Change of the three edge functions from one column to the next.
+    da, db, dc = (by - cy) * step, (cy - ay) * step, (ay - by) * step
+    for row in range(top, bottom + 1):
+        py = y0 - row * step
+        ea = (cx - bx) * (py - scale * by) - (cy - by) * (px - scale * bx)
+        eb = (ax - cx) * (py - scale * cy) - (ay - cy) * (px - scale * cx)
+        ec = (bx - ax) * (py - scale * ay) - (by - ay) * (px - scale * ax)
+        first, last = left, right
+        if right - left >= _WIDE:
+            first_a, last_a = _cut(ea, da, left, right)
+            first_b, last_b = _cut(eb, db, left, right)
+            first_c, last_c = _cut(ec, dc, left, right)
+            first = wide(max(first_a, first_b, first_c))
+            last = wide(min(last_a, last_b, last_c))
+            ea += (first - left) * da
+            eb += (first - left) * db
+            ec += (first - left) * dc
+        for column in range(first, last + 1):
+            if (ea | eb | ec) >= 0:
+                n_on = (ea == 0) + (eb == 0) + (ec == 0)
+                if n_on < 2:  # a centre on a vertex is not the facets' affair
+                    edge = -1
+                    if n_on == 1:
+                        edge = 8 * t + (0 if ea == 0 else (1 if eb == 0 else 2))
+                    _own_pixel(
+                        vertices, triangles, t, edge, owners, heights, marks, row, column,
+                        lattice, rule, sides,
+                    )  # fmt: skip
+            ea += da
+            eb += db
+            ec += dc
+
+
+@kernel
+def scan(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    owners: Int32Array,
+    heights: Float64Array,
+    marks: UInt8Array,
+    lattice: Lattice,
+    rule: Rule,
+    sides: Sides,
+) -> None:
+    """Find the facet or vertex that owns each pixel centre, and the linear height there.
+
+    Heights are computed while the facet is at hand: looking it up again for each pixel takes as long as the scan.
+
+    Parameters
+    ----------
+    vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
+        An empty TIN, or one of collinear points, owns nothing.
+    owners : int32 [rows, columns], or [0, 0] if not wanted
+        Output: number of the passing facet, `NO_OWNER`, or -2 - v for vertex v.
+    heights : float64 [rows, columns], or [0, 0] if not wanted
+        Output: counts, NaN without owner.
+    marks : uint8 [rows, columns]
+        Output: 1 where data outside the window could change the pixel, else 0.
+    lattice : Lattice
+        ``(rows, columns)`` pixels from it.
+    rule : Rule
+    sides : Sides
+    """
+    rows, columns = marks.shape
+    owners[:, :] = NO_OWNER
+    heights[:, :] = np.nan
+    _mark_near_sides(marks, lattice, rule, sides)
+    if counters[N_TRIANGLES] == 0:
+        return
+    x0, y0, step, scale = lattice
+    inverse = 1.0 / float(step)
+    for t in range(wide(counters[N_TRIANGLES])):
+        i, j, k = triangles[8 * t + 4], triangles[8 * t + 5], triangles[8 * t + 6]
+        if (i | j | k) < 0:
+            continue
+        i, j, k = 4 * i, 4 * j, 4 * k
+        low_x = scale * wide(min(vertices[i], vertices[j], vertices[k])) - x0
+        high_x = scale * wide(max(vertices[i], vertices[j], vertices[k])) - x0
+        # The quotient is rounded: widen by far less than a pixel, the exact test decides.
+        left = max(wide(0), math.ceil(float(low_x) * inverse - 1e-6))
+        right = min(columns - 1, math.floor(float(high_x) * inverse + 1e-6))
+        if left > right:
+            continue
+        low_y = y0 - scale * wide(max(vertices[i + 1], vertices[j + 1], vertices[k + 1]))
+        high_y = y0 - scale * wide(min(vertices[i + 1], vertices[j + 1], vertices[k + 1]))
+        top = max(wide(0), math.ceil(float(low_y) * inverse - 1e-6))
+        bottom = min(rows - 1, math.floor(float(high_y) * inverse + 1e-6))
+        if top > bottom:
+            continue
+        box = (top, bottom, left, right)
+        _own_facet(vertices, triangles, t, owners, heights, marks, box, lattice, rule, sides)
+    _own_vertices(vertices, triangles, counters, owners, heights, marks, lattice, rule, sides)

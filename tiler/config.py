@@ -1,0 +1,185 @@
+"""The run's settings: one frozen dataclass, the only home of their defaults, help texts and units.
+
+The command line, ``tiler config --template`` and the documentation are generated from the fields' metadata.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from tiler.core.units import parse_length
+from tiler.errors import ConfigError
+
+
+def setting(default: Any, help: str, *, unit: str = "", kind: str = "text", choices: tuple[str, ...] = ()) -> Any:
+    """A field of `RunConfig` with what people need to know about it."""
+    return field(default=default, metadata={"help": help, "unit": unit, "kind": kind, "choices": choices})
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that a run can be told; ``None`` means "decide from the data, and say so"."""
+
+    method: str = setting("classic", "ground filter (see `tiler methods`); `keep` trusts the input's classes")
+    parameters: tuple[tuple[str, str], ...] = setting((), "parameters of the method, name=value", kind="pairs")
+    ground_classes: tuple[int, ...] = setting((2,), "classes that `--method keep` grids as ground", kind="classes")
+    resolution: Fraction | None = setting(None, "pixel size; default 1 m, or the spacing of the ground where that "
+                                          "is coarser", unit="m", kind="length")  # fmt: skip
+    tile_size: Fraction | None = setting(None, "side of a filter tile; default from density and memory",
+                                         unit="m", kind="length")  # fmt: skip
+    halo: Fraction | None = setting(None, "points around a tile that the filter sees; default from the method",
+                                    unit="m", kind="length")  # fmt: skip
+    max_edge: Fraction = setting(Fraction(100), "a pixel is nodata where its facet's longest edge or circumradius "
+                                 "is longer", unit="m", kind="length")  # fmt: skip
+    memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "
+                                 "if that is less", unit="bytes", kind="bytes")  # fmt: skip
+    workers: int | None = setting(None, "worker processes, one thread each; default: cores", kind="int")
+    scheduler: str | None = setting(None, "address of a running Dask scheduler, instead of local workers")
+    store: str | None = setting(None, "where the tile store lies; default OUT/store.zarr")
+    crs: str | None = setting(None, "CRS of files that have none (EPSG:..., WKT); `none`: unknown, metres assumed")
+    units: str | None = setting(None, "units of the coordinates, h or h,v (m, ft, usft); overrides the CRS's")
+    bounds: tuple[float, float, float, float] | None = setting(None, "only this part: X0 Y0 X1 Y1 in CRS units",
+                                                               kind="bounds")  # fmt: skip
+    keep_classes: tuple[int, ...] = setting((7, 9, 17, 18), "classes that take no part in filtering and are "
+                                            "never overwritten", kind="classes")  # fmt: skip
+    skip_synthetic: bool = setting(False, "synthetic points take no part in filtering", kind="flag")
+    skip_overlap: bool = setting(False, "overlap points take no part in filtering", kind="flag")
+    compress: str = setting("deflate", "compression of rasters", kind="choice", choices=("deflate", "zstd"))
+    on_error: str = setting("skip", "what a broken file or tile does to the run", kind="choice",
+                            choices=("skip", "stop"))  # fmt: skip
+    salvage: bool = setting(False, "read what is there of a truncated file instead of leaving it out", kind="flag")
+    verify: bool = setting(False, "read the inputs again to see whether they changed", kind="flag")
+    overwrite: bool = setting(False, "start anew instead of going on with what OUT holds", kind="flag")
+    clean_store: bool = setting(False, "remove the store when the run is done", kind="flag")
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able settings; `from_mapping` reads them back."""
+        return {f.name: _plain(getattr(self, f.name)) for f in fields(self)}
+
+    @classmethod
+    def from_mapping(cls, data: Mapping[str, Any]) -> RunConfig:
+        """Settings from plain values (TOML, JSON, options); unknown names and bad values raise ConfigError."""
+        known = {f.name: f for f in fields(cls)}
+        for name in data:
+            if name not in known:
+                raise ConfigError(f"unknown setting {name!r}; `tiler config --template` lists them")
+        return cls(**{name: _parse(known[name], value) for name, value in data.items()})
+
+    def updated(self, **changes: Any) -> RunConfig:
+        """A copy with these fields (already parsed) replaced."""
+        return dataclasses.replace(self, **changes)
+
+
+def load_config(path: Path) -> dict[str, Any]:
+    """The settings of a TOML file as plain values; a table ``[parameters]`` holds those of the method."""
+    import tomllib
+
+    try:
+        with open(path, "rb") as stream:
+            return tomllib.load(stream)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; name a readable TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+
+
+_BYTES = {"": 1, "b": 1, "k": 1000, "kb": 1000, "kib": 1024, "m": 10**6, "mb": 10**6, "mib": 1 << 20,
+          "g": 10**9, "gb": 10**9, "gib": 1 << 30, "t": 10**12, "tb": 10**12, "tib": 1 << 40}  # fmt: skip
+
+
+def parse_bytes(text: str | int) -> int:
+    """A memory size in bytes: ``1000000``, ``4GB``, ``2GiB``, ``512M``; raises ConfigError."""
+    if isinstance(text, int):
+        return text
+    number = text.strip().rstrip("bBkKmMgGtTiI")
+    unit = text.strip()[len(number) :].lower()
+    try:
+        size = int(float(number) * _BYTES[unit])
+    except (ValueError, KeyError, OverflowError):
+        raise ConfigError(f"{text!r} is no memory size: write 4GB, 512MiB or a number of bytes") from None
+    if size <= 0:
+        raise ConfigError(f"{text!r} is no memory size: it must be above 0")
+    return size
+
+
+def parse_classes(text: str | int | list[int] | tuple[int, ...]) -> tuple[int, ...]:
+    """ASPRS classes: ``7,18``; an empty text is no class; raises ConfigError."""
+    parts = [p for p in text.split(",") if p.strip()] if isinstance(text, str) else text
+    try:
+        classes = tuple(sorted({int(p) for p in ([parts] if isinstance(parts, int) else parts)}))
+    except ValueError:
+        raise ConfigError(f"{text!r} are no classes: write numbers with commas, like 7,18") from None
+    if any(not 0 <= c <= 255 for c in classes):
+        raise ConfigError(f"{text!r}: classes are 0 to 255")
+    return classes
+
+
+def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
+    """``name=value`` settings of a method, from strings or a mapping; raises ConfigError."""
+    if isinstance(value, Mapping):
+        return tuple((str(k), str(v)) for k, v in value.items())
+    pairs = []
+    for item in value:
+        name, sign, text = item.partition("=") if isinstance(item, str) else (item[0], "=", str(item[1]))
+        if not sign or not name:
+            raise ConfigError(f"--set {item}: write name=value; `tiler methods` lists the names")
+        pairs.append((name.strip(), text.strip()))
+    return tuple(pairs)
+
+
+def _positive_length(name: str, value: Any) -> Fraction:
+    length = parse_length(value)
+    if length < 0 or (length == 0 and name != "halo"):
+        raise ConfigError(f"{name} {value}: must be above 0")
+    return length
+
+
+def _bounds(value: Any) -> tuple[float, float, float, float]:
+    try:
+        x0, y0, x1, y1 = (float(v) for v in value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"bounds {value!r}: write four numbers X0 Y0 X1 Y1 in units of the CRS") from None
+    if not (x0 < x1 and y0 < y1):
+        raise ConfigError(f"bounds {value!r}: X0 must be below X1 and Y0 below Y1")
+    return x0, y0, x1, y1
+
+
+def _parse(spec: dataclasses.Field[Any], value: Any) -> Any:
+    """One plain value as its field wants it."""
+    kind = spec.metadata["kind"]
+    if value is None:
+        if spec.default is not None:
+            raise ConfigError(f"{spec.name}: needs a value")
+        return None
+    if kind == "length":
+        return _positive_length(spec.name, value)
+    if kind == "bytes":
+        return parse_bytes(value)
+    if kind == "classes":
+        return parse_classes(value)
+    if kind == "pairs":
+        return parse_pairs(value)
+    if kind == "bounds":
+        return _bounds(value)
+    if kind == "int" and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
+        raise ConfigError(f"{spec.name} {value!r}: must be a whole number above 0")
+    if kind == "flag" and not isinstance(value, bool):
+        raise ConfigError(f"{spec.name} {value!r}: must be true or false")
+    if kind == "choice" and value not in spec.metadata["choices"]:
+        raise ConfigError(f"{spec.name} {value!r}: choose one of {', '.join(spec.metadata['choices'])}")
+    if kind in ("text", "choice") and not isinstance(value, str):
+        raise ConfigError(f"{spec.name} {value!r}: must be text")
+    return value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Fraction):
+        return str(value)
+    if isinstance(value, tuple):
+        return [_plain(v) for v in value]
+    return value

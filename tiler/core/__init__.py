@@ -1,0 +1,1 @@
+"""The nouns: units, frames, lattices, tiles, points, rasters, classes. Numpy only."""

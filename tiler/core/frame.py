@@ -1,0 +1,64 @@
+"""The integer frame: coordinates are int32 counts of a thousandth of the CRS's unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.units import Units
+
+COUNTS_PER_UNIT = 1000
+"""A millimetre where the CRS is in metres, 0.3 mm in feet; fixed, never read from a header."""
+
+INT32_LIMIT = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class CoordFrame:
+    """What an int32 count means.
+
+    An *absolute* count is ``round(coordinate * 1000)``, an int64; the *local* count that is stored is the
+    absolute one minus ``origin``. Heights have no origin: int32 counts reach 2147 km. All lattices
+    are anchored at absolute count 0, so the origin never enters a result.
+    """
+
+    units: Units = field(default_factory=Units)
+    origin: tuple[int, int] = (0, 0)
+    crs_wkt: str | None = None
+
+    @property
+    def metres_xy(self) -> Fraction:
+        """Metres in one horizontal count."""
+        return self.units.horizontal / COUNTS_PER_UNIT
+
+    @property
+    def metres_z(self) -> Fraction:
+        """Metres in one vertical count."""
+        return self.units.vertical / COUNTS_PER_UNIT
+
+    def counts(self, metres: Fraction) -> Fraction:
+        """A horizontal length in metres as an exact number of counts."""
+        return metres / self.metres_xy
+
+    def coordinate(self, absolute: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Absolute counts as coordinates in units of the CRS, float64."""
+        return np.asarray(absolute, dtype=np.float64) / COUNTS_PER_UNIT
+
+    def to_json(self) -> dict[str, Any]:
+        """A JSON-able description; `from_json` reads it back."""
+        return {
+            "units": [str(self.units.horizontal), str(self.units.vertical)],
+            "origin": list(self.origin),
+            "crs_wkt": self.crs_wkt,
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> CoordFrame:
+        """The frame that `to_json` described."""
+        horizontal, vertical = (Fraction(u) for u in data["units"])
+        x, y = data["origin"]
+        return cls(Units(horizontal, vertical), (int(x), int(y)), data["crs_wkt"])

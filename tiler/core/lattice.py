@@ -1,0 +1,120 @@
+"""Half-open bounds in absolute counts, and lattices of exact rational cells anchored at count 0."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The half-open rectangle ``x0 <= x < x1, y0 <= y < y1`` in absolute counts (int)."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @property
+    def empty(self) -> bool:
+        """No count lies inside."""
+        return self.x0 >= self.x1 or self.y0 >= self.y1
+
+    def pad(self, counts: int) -> Bounds:
+        """Wider by ``counts`` on every side."""
+        return Bounds(self.x0 - counts, self.y0 - counts, self.x1 + counts, self.y1 + counts)
+
+    def union(self, other: Bounds) -> Bounds:
+        """The smallest bounds that hold both."""
+        return Bounds(
+            min(self.x0, other.x0), min(self.y0, other.y0), max(self.x1, other.x1), max(self.y1, other.y1)
+        )
+
+    def overlaps(self, other: Bounds) -> bool:
+        """Some count lies in both."""
+        return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
+
+    def area(self) -> int:
+        """Square counts."""
+        return max(self.x1 - self.x0, 0) * max(self.y1 - self.y0, 0)
+
+    def to_json(self) -> list[int]:
+        """``[x0, y0, x1, y1]``."""
+        return [self.x0, self.y0, self.x1, self.y1]
+
+    @classmethod
+    def from_json(cls, data: list[int]) -> Bounds:
+        """The bounds that `to_json` wrote."""
+        x0, y0, x1, y1 = (int(v) for v in data)
+        return cls(x0, y0, x1, y1)
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """A cell of a lattice: column ``ix`` to the east, row ``iy`` to the north."""
+
+    ix: int
+    iy: int
+
+    @property
+    def name(self) -> str:
+        """A name that sorts and reads well: ``+12-03``."""
+        return f"{self.ix:+03d}{self.iy:+03d}"
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Square cells of ``size`` counts (an exact fraction), cell 0 starting at absolute count 0.
+
+    A count belongs to cell ``floor(count * q / p)`` with ``size = p / q``: int64 arithmetic, no tolerance.
+    """
+
+    size: Fraction
+
+    @property
+    def p(self) -> int:
+        """Numerator of the cell size in counts."""
+        return self.size.numerator
+
+    @property
+    def q(self) -> int:
+        """Denominator of the cell size in counts."""
+        return self.size.denominator
+
+    def index(self, absolute: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Cell indices of absolute counts, int64 of the same shape."""
+        return (absolute * self.q) // self.p
+
+    def index_of(self, absolute: int) -> int:
+        """The cell index of one absolute count."""
+        return (absolute * self.q) // self.p
+
+    def first(self, index: int) -> int:
+        """The first absolute count that belongs to cell ``index`` (the next cell's first is its end)."""
+        return -((-index * self.p) // self.q)
+
+    def bounds(self, cell: Cell) -> Bounds:
+        """The counts that belong to a cell."""
+        return Bounds(self.first(cell.ix), self.first(cell.iy), self.first(cell.ix + 1), self.first(cell.iy + 1))
+
+    def cells(self, bounds: Bounds) -> Iterator[Cell]:
+        """Every cell that holds a count of ``bounds``, row by row from the south-west."""
+        if bounds.empty:
+            return
+        for iy in range(self.index_of(bounds.y0), self.index_of(bounds.y1 - 1) + 1):
+            for ix in range(self.index_of(bounds.x0), self.index_of(bounds.x1 - 1) + 1):
+                yield Cell(ix, iy)
+
+    def to_json(self) -> str:
+        """``"p/q"``."""
+        return str(self.size)
+
+    @classmethod
+    def from_json(cls, data: Any) -> Lattice:
+        """The lattice that `to_json` wrote."""
+        return cls(Fraction(data))

@@ -1,0 +1,77 @@
+"""Points as columns of equal length."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.lattice import Bounds
+
+
+@dataclass(frozen=True)
+class PointBlock:
+    """Columns of ``n`` points; columns that were not asked for, or that the sources lack, are None.
+
+    Attributes
+    ----------
+    xyz : int32, shape (3, n)
+        Local counts of the run's `CoordFrame`: x east, y north, z up.
+    classification : uint8, shape (n,)
+        ASPRS class as the source gives it.
+    flags : uint8, shape (n,)
+        Bits of `tiler.core.classes`: withheld, synthetic, overlap, key point.
+    returns : uint8, shape (2, n)
+        Return number and number of returns.
+    rgb : uint16, shape (3, n)
+        Red, green, blue as the source gives them.
+    origin : int64, shape (n,)
+        ``source id << 40 | source row``: so that a classified file goes back in its input's own order.
+    """
+
+    xyz: npt.NDArray[np.int32]
+    classification: npt.NDArray[np.uint8] | None = None
+    flags: npt.NDArray[np.uint8] | None = None
+    returns: npt.NDArray[np.uint8] | None = None
+    rgb: npt.NDArray[np.uint16] | None = None
+    origin: npt.NDArray[np.int64] | None = None
+
+    def __len__(self) -> int:
+        return int(self.xyz.shape[1])
+
+    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_] | slice) -> PointBlock:
+        """The points of ``index`` (indices, a mask or a slice), in that order."""
+        columns = (getattr(self, f.name) for f in fields(self))
+        return PointBlock(*(None if c is None else c[..., index] for c in columns))
+
+    def inside(self, bounds: Bounds, origin: tuple[int, int]) -> npt.NDArray[np.bool_]:
+        """Mask of the points in ``bounds`` (absolute counts), given the frame's origin."""
+        x = self.xyz[0].astype(np.int64) + origin[0]
+        y = self.xyz[1].astype(np.int64) + origin[1]
+        return (x >= bounds.x0) & (x < bounds.x1) & (y >= bounds.y0) & (y < bounds.y1)
+
+    @staticmethod
+    def concatenate(blocks: Sequence[PointBlock]) -> PointBlock:
+        """All points of ``blocks`` (at least one) in order; a column that one block lacks is None."""
+        names = [f.name for f in fields(PointBlock)]
+        joined = []
+        for name in names:
+            columns = [getattr(b, name) for b in blocks]
+            joined.append(None if any(c is None for c in columns) else np.concatenate(columns, axis=-1))
+        return PointBlock(*joined)
+
+
+SOURCE_SHIFT = 40
+"""Rows of one source fit 2**40; so do 2**23 sources in an int64."""
+
+
+def pack_origin(source: int, rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """``source id << 40 | row``, int64."""
+    return (np.int64(source) << SOURCE_SHIFT) | rows
+
+
+def unpack_origin(origin: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Source ids and rows, both int64."""
+    return origin >> SOURCE_SHIFT, origin & ((1 << SOURCE_SHIFT) - 1)

@@ -1,0 +1,77 @@
+"""The raster: pixels on a lattice anchored at CRS coordinate 0, rows from north to south."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from tiler.core.lattice import Bounds, Lattice
+
+NODATA = -9999.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """A window of a raster: ``row, col`` of its north-west pixel, and its size in pixels."""
+
+    row: int
+    col: int
+    height: int
+    width: int
+
+    @property
+    def name(self) -> str:
+        """A name that sorts: row and column of the north-west pixel."""
+        return f"r{self.row:07d}c{self.col:07d}"
+
+
+@dataclass(frozen=True)
+class RasterSpec:
+    """Owns pixel centres and transform.
+
+    Pixel ``(row, col)`` is cell ``(west + col, north - 1 - row)`` of `lattice`: its centre is
+    at ``(west + col + 1/2) * size`` absolute counts east, ``(north - row - 1/2) * size`` north.
+    """
+
+    lattice: Lattice
+    west: int
+    north: int
+    height: int
+    width: int
+
+    @classmethod
+    def covering(cls, lattice: Lattice, extent: Bounds) -> RasterSpec:
+        """The smallest raster whose pixels hold every count of ``extent``."""
+        west, south = lattice.index_of(extent.x0), lattice.index_of(extent.y0)
+        east, north = lattice.index_of(extent.x1 - 1) + 1, lattice.index_of(extent.y1 - 1) + 1
+        return cls(lattice, west, north, north - south, east - west)
+
+    def blocks(self, size: int) -> Iterator[Block]:
+        """Blocks of ``size`` pixels (smaller at the south and east end) that cover each pixel once."""
+        for row in range(0, self.height, size):
+            for col in range(0, self.width, size):
+                yield Block(row, col, min(size, self.height - row), min(size, self.width - col))
+
+    def block_bounds(self, block: Block) -> Bounds:
+        """The absolute counts that the pixels of a block cover."""
+        first = self.lattice.first
+        west, north = self.west + block.col, self.north - block.row
+        return Bounds(first(west), first(north - block.height), first(west + block.width), first(north))
+
+    def transform(self, counts_per_unit: int) -> tuple[float, float, float, float, float, float]:
+        """Affine coefficients (a, b, c, d, e, f), GDAL order of rasterio's ``Affine``, units of the CRS."""
+        size = self.lattice.size / counts_per_unit
+        return float(size), 0.0, float(self.west * size), 0.0, -float(size), float(self.north * size)
+
+    def to_json(self) -> dict[str, Any]:
+        """A JSON-able description; `from_json` reads it back."""
+        return {
+            "lattice": self.lattice.to_json(),
+            "west": self.west, "north": self.north, "height": self.height, "width": self.width,
+        }  # fmt: skip
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> RasterSpec:
+        """The raster that `to_json` described."""
+        return cls(Lattice.from_json(data["lattice"]), data["west"], data["north"], data["height"], data["width"])

@@ -1,0 +1,247 @@
+"""Classified clouds: a source file again as LAZ, equal but for the classes that the run found.
+
+laspy rewrites what it does not keep (text behind a NUL, reserved bytes, counts, dates, bytes between
+records); here the header and its records are copied as bytes, the positions in them moved, and only the
+points pass through lazrs.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import lazrs
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.lattice import Cell
+from tiler.core.points import unpack_origin
+from tiler.errors import ProcessingError
+from tiler.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
+from tiler.las.headers import LasHeader, read_header
+from tiler.las.reader import EVERYTHING, PointReader
+from tiler.las.records import LASZIP_RECORD, LASZIP_USER, VariableRecord
+from tiler.store import TileStore, open_store
+
+ROWS_AT_ONCE = 1 << 27
+"""Labels held in memory at once, one byte each."""
+
+_CHUNK = 50_000
+_STEP = 10 * _CHUNK
+_COPY = 1 << 20
+_MARK = 0x80
+_LASZIP_VLR = struct.Struct("<H16sHH32s")
+
+
+def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write one source with its new classes.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``path`` (str) and ``source`` (int) of the input; ``out`` (str, the final name); ``labels`` (str,
+        the name of the final labels); ``cells`` ([[ix, iy], ...], the buckets that hold points of it);
+        ``salvage`` (bool).
+        A label of 0, and a point that the store does not hold, keep the source's class.
+
+    Returns
+    -------
+    dict
+        ``points``, ``changed`` (points of another class), ``classes`` (class to points, afterwards),
+        ``bytes``, ``notes`` (list of str).
+
+    Raises
+    ------
+    InputError
+        The source cannot be decoded.
+    ProcessingError
+        The file cannot be written.
+    """
+    store = open_store(store_url)
+    header = read_header(Path(args["path"]), bool(args.get("salvage", False)))
+    out = Path(args["out"])
+    partial = out.with_name(out.name + ".partial")
+    cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with open(header.path, "rb") as source, open(partial, "w+b") as target:
+            notes = _write_front(header, source, target)
+            record = _write_points(header, target, store, int(args["source"]), args["labels"], cells)
+            _write_back(header, source, target)
+            target.flush()
+            os.fsync(target.fileno())
+        os.replace(partial, out)
+        _sync_folder(out.parent)
+    except OSError as error:
+        raise ProcessingError(
+            f"{out}: cannot be written ({error.strerror or error}); see to space and rights"
+        ) from error
+    finally:
+        partial.unlink(missing_ok=True)
+    if record["refused"]:
+        notes.append(
+            f"{record['refused']} points keep their class: format {header.point_format} has classes 0 to 31"
+        )
+    return {
+        "points": header.point_count,
+        "changed": record["changed"],
+        "classes": record["classes"],
+        "bytes": out.stat().st_size,
+        "notes": notes,
+    }
+
+
+def _kept(records: Sequence[VariableRecord]) -> list[VariableRecord]:
+    return [r for r in records if not r.is_copc]
+
+
+def _extra_bytes(header: LasHeader) -> int:
+    """Bytes of a record beyond what its point format needs."""
+    return header.record_length - int(lazrs.LazVlr.new_for_compression(header.point_format, 0).item_size())
+
+
+def _laszip(header: LasHeader) -> Any:
+    return lazrs.LazVlr.new_for_compression(header.point_format, _extra_bytes(header))
+
+
+def _write_front(header: LasHeader, source: BinaryIO, target: BinaryIO) -> list[str]:
+    """Header, VLRs and whatever lies between them and the points; returns notes."""
+    notes = ["COPC written as plain LAZ, without its octree"] if any(v.is_copc for v in header.vlrs) else []
+    _copy(source, target, 0, header.header_size)
+    written = 0
+    laszip_done = False
+    for vlr in _kept(header.vlrs):
+        if vlr.is_laszip:
+            if laszip_done:
+                continue
+            target.write(_laszip_record(header))
+            laszip_done = True
+        else:
+            _copy(source, target, vlr.start, vlr.end)
+        written += 1
+    if not laszip_done:
+        target.write(_laszip_record(header))
+        written += 1
+    _copy(source, target, header.vlrs[-1].end if header.vlrs else header.header_size, header.points_offset)
+    points = target.tell()
+    _patch(target, 94, "<HII", header.header_size, points, written)
+    _patch(target, 104, "<B", header.point_format | 0x80)
+    _patch_counts(header, target)
+    target.seek(points)
+    return notes
+
+
+def _laszip_record(header: LasHeader) -> bytes:
+    data = bytes(_laszip(header).record_data())
+    return _LASZIP_VLR.pack(0, LASZIP_USER.encode(), LASZIP_RECORD, len(data), b"lazrs") + data
+
+
+def _patch(target: BinaryIO, position: int, form: str, *values: int) -> None:
+    target.seek(position)
+    target.write(struct.pack(form, *values))
+
+
+def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
+    """The number of points, where the header's was not what could be read (salvaged files)."""
+    target.seek(107)
+    (legacy,) = struct.unpack("<I", target.read(4))
+    if header.version[1] < 4:
+        if legacy != header.point_count:
+            _patch(target, 107, "<I", header.point_count)
+        return
+    target.seek(247)
+    (count,) = struct.unpack("<Q", target.read(8))
+    if count not in (header.point_count, 0) or (count == 0 and legacy != header.point_count):
+        _patch(target, 247, "<Q", header.point_count)
+        _patch(target, 107, "<I", header.point_count if legacy else 0)
+
+
+def _write_points(
+    header: LasHeader, target: BinaryIO, store: TileStore, source: int, labels: str, cells: Sequence[Cell]
+) -> dict[str, Any]:
+    """All records in their order with their new classes."""
+    classes = np.zeros(256, dtype=np.int64)
+    changed = refused = 0
+    highest = LEGACY_CLASS_MASK if is_legacy(header.point_format) else 255
+    # lazrs reads and writes through a buffer of its own: it is flushed by done().
+    compressor = lazrs.LasZipCompressor(target, _laszip(header))
+    with PointReader(header, EVERYTHING) as reader:
+        for first in range(0, header.point_count, ROWS_AT_ONCE):
+            last = min(first + ROWS_AT_ONCE, header.point_count)
+            found = collect_labels(store, source, labels, cells, first, last)
+            for start in range(first, last, _STEP):
+                stop = min(start + _STEP, last)
+                records = reader.read(start, stop - start)
+                before = class_and_flags(records, header.point_format)[0]
+                new = found[start - first : stop - first]
+                refused += int(np.count_nonzero(new > highest))
+                chosen = (new != 0) & (new <= highest) & (new != before)
+                write_classes(records, header.point_format, new, chosen)
+                changed += int(np.count_nonzero(chosen))
+                classes += np.bincount(np.where(chosen, new, before), minlength=256)
+                compressor.compress_many(records.view(np.uint8))
+    compressor.done()
+    histogram = {str(c): int(n) for c, n in enumerate(classes.tolist()) if n}
+    return {"changed": changed, "refused": refused, "classes": histogram}
+
+
+def collect_labels(
+    store: TileStore, source: int, labels: str, cells: Sequence[Cell], first: int, last: int
+) -> npt.NDArray[np.uint8]:
+    """Final classes of the rows ``first`` to ``last`` of a source, uint8; 0 where the store has none."""
+    found = np.zeros(last - first, dtype=np.uint8)
+    for cell in cells:
+        origin = store.read_bucket(cell, columns=("origin",)).origin
+        if origin is None:
+            continue
+        sources, rows = unpack_origin(origin)
+        mine = (sources == source) & (rows >= first) & (rows < last)
+        if mine.any():
+            found[rows[mine] - first] = store.read_labels(labels, cell)[mine] & ~np.uint8(_MARK)
+    return found
+
+
+def _write_back(header: LasHeader, source: BinaryIO, target: BinaryIO) -> None:
+    """EVLRs, or the waveform packets of LAS 1.3, and the positions of both."""
+    target.seek(0, os.SEEK_END)
+    if header.version[1] >= 4:
+        kept = _kept(header.evlrs)
+        begin = target.tell()
+        waveform = 0
+        for record in kept:
+            if record.start == header.waveform_start:
+                waveform = target.tell()
+            _copy(source, target, record.start, record.end)
+        _patch(target, 235, "<QI", begin if kept else 0, len(kept))
+        if header.waveform_start:
+            _patch(target, 227, "<Q", waveform)
+    elif header.version[1] == 3 and header.points_offset < header.waveform_start < header.size:
+        begin = target.tell()
+        _copy(source, target, header.waveform_start, header.size)
+        _patch(target, 227, "<Q", begin)
+    target.seek(0, os.SEEK_END)
+
+
+def _copy(source: BinaryIO, target: BinaryIO, start: int, stop: int) -> None:
+    """Bytes ``start`` to ``stop`` of the source, in bounded pieces."""
+    source.seek(start)
+    left = stop - start
+    while left > 0:
+        part = source.read(min(left, _COPY))
+        if not part:
+            raise OSError(f"the source ends at byte {stop - left}")
+        target.write(part)
+        left -= len(part)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the new name last."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,170 @@
+"""A raster of the store as a cloud-optimised GeoTIFF.
+
+A COG has its overviews before the full resolution, so it cannot be written as the blocks come: they go to a plain
+tiled GeoTIFF first, which GDAL's COG driver then copies with bounded memory. Both are scratch beside the target
+until the COG is whole; the scratch takes up to 4 bytes a pixel (blocks without data take none).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rasterio
+import rasterio.shutil
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import NODATA, RasterSpec
+from tiler.core.units import unit_label
+from tiler.errors import ProcessingError
+from tiler.export.geotiff import CACHE_MB, TILE, RasterLook, plain_geotiff, raster_errors
+from tiler.store import TileStore, open_store
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Of the valid pixels; merges in a fixed order, so it does not depend on how the raster came about."""
+
+    n: int = 0
+    low: float = math.inf
+    high: float = -math.inf
+    mean: float = 0.0
+    squares: float = 0.0
+
+    def merged(self, heights: npt.NDArray[np.float32]) -> Statistics:
+        """These and one more block's (Chan, Golub and LeVeque 1979, eq. 2.1)."""
+        values = heights[heights != np.float32(NODATA)].astype(np.float64)
+        if values.size == 0:
+            return self
+        n, mean = self.n + values.size, float(values.mean())
+        shift = mean - self.mean
+        return Statistics(
+            n,
+            min(self.low, float(values.min())),
+            max(self.high, float(values.max())),
+            self.mean + shift * values.size / n,
+            self.squares + float(((values - mean) ** 2).sum()) + shift**2 * self.n * values.size / n,
+        )
+
+    def tags(self, pixels: int) -> dict[str, str]:
+        """Return GDAL's metadata items of a band with ``pixels`` pixels."""
+        tags = {"STATISTICS_VALID_PERCENT": f"{100 * self.n / pixels:.4g}"}
+        if self.n:
+            tags |= {
+                "STATISTICS_MINIMUM": repr(self.low),
+                "STATISTICS_MAXIMUM": repr(self.high),
+                "STATISTICS_MEAN": repr(self.mean),
+                "STATISTICS_STDDEV": repr(math.sqrt(self.squares / self.n)),
+            }
+        return tags
+
+
+def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write a raster of the store as ``<out>/<name>.tif``; a `tiler.schedule.task.Work`.
+
+    The same content gives the same bytes: nothing in the file tells of time, path, workers or tiles.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``name``: of the raster in the store and of the file. ``spec``: `RasterSpec` as JSON. ``out``: folder that
+        exists. ``description``: of the band. ``compress``: ``deflate`` or ``zstd``. ``tags``: mapping of str to
+        str, the provenance (TILER_VERSION, TILER_METHOD, TILER_PARAMETERS, TILER_INPUTS).
+
+    Returns
+    -------
+    dict
+        ``path`` (the file's name), ``bytes``, ``digest`` (BLAKE2b of the file), ``pixels``, ``valid``, and ``min``, ``max``, ``mean``
+        (vertical units of the CRS, None without a valid pixel).
+
+    Raises
+    ------
+    ProcessingError
+        The disk is full or the file cannot be written.
+    """
+    store, spec = open_store(store_url), RasterSpec.from_json(args["spec"])
+    target = Path(args["out"]) / f"{args['name']}.tif"
+    plain, partial = (target.with_name(f"{target.name}.{kind}.partial") for kind in ("plain", "cog"))
+    try:
+        statistics = _write_plain(store, spec, args, plain)
+        _copy_as_cog(plain, partial, args["compress"])
+        _check(partial, spec)
+        _publish(partial, target)
+    finally:
+        for scratch in (plain, partial, *target.parent.glob(f"{partial.name}.*")):
+            with suppress(FileNotFoundError):
+                scratch.unlink()
+    found = statistics.n > 0
+    return {
+        "path": target.name,
+        "bytes": target.stat().st_size,
+        "digest": _digest(target),
+        "pixels": spec.height * spec.width,
+        "valid": statistics.n,
+        "min": statistics.low if found else None,
+        "max": statistics.high if found else None,
+        "mean": statistics.mean if found else None,
+    }
+
+
+def _write_plain(store: TileStore, spec: RasterSpec, args: dict[str, Any], path: Path) -> Statistics:
+    """Copy the raster block by block, row by row from the north-west."""
+    frame, statistics = store.meta.frame, Statistics()
+    look = RasterLook(frame.crs_wkt, unit_label(frame.units.vertical), args["description"], args["tags"])
+    with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
+        for block in spec.blocks(TILE):
+            heights = store.read_block(args["name"], block)
+            statistics = statistics.merged(heights)
+            if np.any(heights != np.float32(NODATA)):
+                raster.write(heights, block.row, block.col)
+        raster.tag_band(statistics.tags(spec.height * spec.width))
+    return statistics
+
+
+def _copy_as_cog(plain: Path, partial: Path, compress: str) -> None:
+    """Let GDAL order, compress and build overviews, in one thread and bounded memory."""
+    options = {
+        "COMPRESS": compress.upper(), "PREDICTOR": "FLOATING_POINT", "OVERVIEW_PREDICTOR": "FLOATING_POINT",
+        "BLOCKSIZE": TILE, "OVERVIEW_RESAMPLING": "AVERAGE", "OVERVIEWS": "AUTO", "BIGTIFF": "IF_SAFER",
+        "NUM_THREADS": 1, "STATISTICS": "NO",
+    }  # fmt: skip
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, GDAL_NUM_THREADS=1), raster_errors(partial):
+        partial.unlink(missing_ok=True)
+        rasterio.shutil.copy(plain, partial, driver="COG", **options)
+
+
+def _check(partial: Path, spec: RasterSpec) -> None:
+    """Read the last block, which ends the file: GDAL may notice a full disk only when it closes, and say nothing."""
+    from rasterio.windows import Window
+
+    *_, last = spec.blocks(TILE)
+    with raster_errors(partial), rasterio.open(partial) as raster:
+        if raster.shape != (spec.height, spec.width):
+            raise ProcessingError(f"{partial}: {raster.shape} pixels instead of {(spec.height, spec.width)}")
+        raster.read(1, window=Window(last.col, last.row, last.width, last.height))
+
+
+def _publish(partial: Path, target: Path) -> None:
+    """Give a whole file its final name, durably."""
+    with raster_errors(target):
+        with open(partial, "rb") as stream:
+            os.fsync(stream.fileno())
+        os.replace(partial, target)
+        folder = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _digest(path: Path) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=16)).hexdigest()

@@ -1,0 +1,111 @@
+"""GeoTIFFs: a plain tiled one that is written block by block, and its metadata."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rasterio
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from tiler.core.raster import NODATA
+from tiler.errors import ProcessingError
+
+TILE = 512
+"""Side of a tile inside of the file, pixels; of the store's raster chunks, too."""
+
+CACHE_MB = 64
+"""Bound of GDAL's block cache, whose default is a share of the machine's memory."""
+
+
+@dataclass(frozen=True)
+class RasterLook:
+    """What a raster says about itself.
+
+    Attributes
+    ----------
+    crs : str or None
+        WKT or authority code; None if unknown.
+    unit : str
+        Vertical unit of the band, as `tiler.core.units.unit_label` names it.
+    description : str
+        Of the band.
+    tags : mapping of str to str
+        Of the data set.
+    """
+
+    crs: str | None
+    unit: str
+    description: str
+    tags: Mapping[str, str]
+
+
+class PlainWriter:
+    """Takes float32 blocks of an open raster."""
+
+    def __init__(self, raster: Any) -> None:
+        self._raster = raster
+
+    def write(self, heights: npt.NDArray[np.float32], row: int, col: int) -> None:
+        """Write a block, shape (height, width), whose north-west pixel is (row, col)."""
+        self._raster.write(heights, 1, window=Window(col, row, heights.shape[1], heights.shape[0]))
+
+    def tag_band(self, tags: Mapping[str, str]) -> None:
+        """Set metadata of the band."""
+        self._raster.update_tags(1, **tags)
+
+
+@contextmanager
+def plain_geotiff(
+    path: Path,
+    height: int,
+    width: int,
+    transform: tuple[float, float, float, float, float, float],
+    look: RasterLook,
+) -> Iterator[PlainWriter]:
+    """Open a new tiled float32 GeoTIFF, not compressed, BigTIFF if it may pass 4 GB, for blocks in any order.
+
+    Blocks that are never written stay nodata and take no disk. Raises ProcessingError.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced if it is there.
+    height, width : int
+        Pixels.
+    transform : tuple of float
+        a, b, c, d, e, f of rasterio's ``Affine``; pixels are areas.
+    look : RasterLook
+    """
+    profile = {
+        "driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": "float32", "nodata": NODATA,
+        "crs": None if look.crs is None else CRS.from_user_input(look.crs), "transform": Affine(*transform),
+        "tiled": True, "blockxsize": TILE, "blockysize": TILE, "BIGTIFF": "IF_SAFER", "SPARSE_OK": True,
+    }  # fmt: skip
+    with (
+        rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
+        raster_errors(path),
+        rasterio.open(path, "w", **profile) as raster,
+    ):
+        raster.update_tags(AREA_OR_POINT="Area", **look.tags)
+        raster.units = (look.unit,)
+        raster.set_band_description(1, look.description)
+        yield PlainWriter(raster)
+
+
+@contextmanager
+def raster_errors(path: Path) -> Iterator[None]:
+    """Turn what rasterio and the disk raise into a ProcessingError that names the file."""
+    try:
+        yield
+    except (RasterioError, OSError) as error:
+        line = " ".join(str(error).split())
+        raise ProcessingError(f"{path}: cannot be written ({line}); make room or name another OUT") from error

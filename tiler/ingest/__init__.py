@@ -1,0 +1,25 @@
+"""Ingest: source files to points in the store, in two steps that any number of workers share.
+
+`spool_piece` decodes a piece of one file, puts it in the frame, sorts it by bucket and spools it;
+`assemble_buckets` gathers the fragments of a bucket, finds duplicates and puts the candidates first.
+Before them, in one process: `find_inputs`, `inspect`, `agree`, `pieces`.
+"""
+
+from tiler.ingest.assemble import assemble_buckets
+from tiler.ingest.georeference import Agreement, Georeference, agree
+from tiler.ingest.requantise import bounds_in_counts
+from tiler.ingest.sources import SourceInfo, find_inputs, inspect, pieces
+from tiler.ingest.spool import spool_piece
+
+__all__ = [
+    "Agreement",
+    "Georeference",
+    "SourceInfo",
+    "agree",
+    "assemble_buckets",
+    "bounds_in_counts",
+    "find_inputs",
+    "inspect",
+    "pieces",
+    "spool_piece",
+]

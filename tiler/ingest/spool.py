@@ -1,0 +1,152 @@
+"""Ingest, first step: a piece of a source decoded, put in the frame, sorted by bucket, spooled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.points import PointBlock, pack_origin
+from tiler.ingest.requantise import fits_int32, to_counts
+from tiler.las.columns import class_and_flags, colours, returns
+from tiler.las.headers import LasHeader, read_header
+from tiler.las.reader import NEEDED, PointReader, Records
+from tiler.store import open_store
+
+NOT_FINITE = "not finite"
+BEYOND_FRAME = "beyond the frame"
+OUTSIDE_BOUNDS = "outside --bounds"
+
+_RADIX_KEYS = 1 << 16
+
+
+def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Decode one piece into the spool.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``path`` (str), ``source`` (int, its id in this run), ``piece`` (str, name in the spool), ``start``
+        and ``count`` (records), ``bounds`` ([x0, y0, x1, y1] in absolute counts, or None), ``salvage``.
+
+    Returns
+    -------
+    dict
+        ``read``, ``stored``, ``dropped`` (reason to number), ``largest_rounding`` (CRS units), ``buckets``
+        ([[ix, iy, number], ...] in the order of the piece), ``bounds`` (half-open absolute counts, or None),
+        ``z`` ([lowest, highest] in counts, or None).
+
+    Raises
+    ------
+    InputError
+        The points cannot be decoded.
+    """
+    store = open_store(store_url)
+    frame, lattice = store.meta.frame, store.meta.bucket
+    header = read_header(Path(args["path"]), bool(args.get("salvage", False)))
+    with PointReader(header, NEEDED) as reader:
+        records = reader.read(int(args["start"]), int(args["count"]))
+    limits = None if args.get("bounds") is None else Bounds.from_json(args["bounds"])
+    local, keep, dropped, rounding = place(records, header, frame, limits)
+    block = columns(records, header, local, int(args["source"]), int(args["start"]), store.meta.has_rgb).take(
+        keep
+    )
+    order, index = sort_by_bucket(block.xyz, frame, lattice)
+    block = block.take(order)
+    if len(block):
+        store.write_piece(args["piece"], block, index)
+    return {
+        "read": len(records),
+        "stored": len(block),
+        "dropped": dropped,
+        "largest_rounding": rounding,
+        "buckets": [list(entry) for entry in index],
+        **extent(block, frame),
+    }
+
+
+def place(
+    records: Records, header: LasHeader, frame: CoordFrame, limits: Bounds | None
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], dict[str, int], float]:
+    """Local counts (int32, shape (3, n)), mask of those to keep, dropped by reason, largest rounding."""
+    local = np.zeros((3, len(records)), dtype=np.int32)
+    finite = np.ones(len(records), dtype=np.bool_)
+    framed = np.ones(len(records), dtype=np.bool_)
+    inside = np.ones(len(records), dtype=np.bool_)
+    rounding = 0.0
+    origins = (*frame.origin, 0)
+    for axis, name in enumerate("XYZ"):
+        found = to_counts(records[name], header.scales[axis], header.offsets[axis])
+        rounding = max(rounding, found.largest_rounding)
+        finite &= found.usable
+        shifted = found.counts - origins[axis]
+        fits = fits_int32(shifted)
+        framed &= fits
+        local[axis] = np.where(fits, shifted, 0)
+        if limits is not None and axis < 2:
+            low, high = ((limits.x0, limits.x1), (limits.y0, limits.y1))[axis]
+            inside &= (found.counts >= low) & (found.counts < high)
+    reasons = {
+        NOT_FINITE: int(np.count_nonzero(~finite)),
+        OUTSIDE_BOUNDS: int(np.count_nonzero(finite & ~inside)),
+        BEYOND_FRAME: int(np.count_nonzero(finite & inside & ~framed)),
+    }
+    return local, finite & inside & framed, {k: v for k, v in reasons.items() if v}, rounding
+
+
+def columns(
+    records: Records, header: LasHeader, local: npt.NDArray[np.int32], source: int, start: int, has_rgb: bool
+) -> PointBlock:
+    """All columns of the records; colours are 0 where the store has them and the source has none."""
+    classification, flags = class_and_flags(records, header.point_format)
+    rgb = colours(records, header.point_format) if has_rgb else None
+    if has_rgb and rgb is None:
+        rgb = np.zeros((3, len(records)), dtype=np.uint16)
+    rows = np.arange(start, start + len(records), dtype=np.int64)
+    return PointBlock(
+        local, classification, flags, returns(records, header.point_format), rgb, pack_origin(source, rows)
+    )
+
+
+def sort_by_bucket(
+    local: npt.NDArray[np.int32], frame: CoordFrame, lattice: Lattice
+) -> tuple[npt.NDArray[np.intp], list[tuple[int, int, int]]]:
+    """A stable order by bucket, row by row from the south-west, and (ix, iy, points) of each bucket there."""
+    if local.shape[1] == 0:
+        return np.empty(0, dtype=np.intp), []
+    ix = lattice.index(local[0].astype(np.int64) + frame.origin[0])
+    iy = lattice.index(local[1].astype(np.int64) + frame.origin[1])
+    west, south = int(ix.min()), int(iy.min())
+    width = int(ix.max()) - west + 1
+    keys = (iy - south) * width + (ix - west)
+    # numpy sorts 16-bit keys by radix, which is several times faster; wider ranges are numbered first.
+    distinct: npt.NDArray[np.int64] | None = None
+    if int(keys.max()) >= _RADIX_KEYS:
+        distinct, keys = np.unique(keys, return_inverse=True)
+    if int(keys.max()) < _RADIX_KEYS:
+        keys = keys.astype(np.uint16)
+    order = np.argsort(keys, kind="stable")
+    numbers = np.bincount(keys)
+    used = np.flatnonzero(numbers)
+    names = used if distinct is None else distinct[used]
+    rows, cols = np.divmod(names.astype(np.int64), width)
+    return order, list(
+        zip((cols + west).tolist(), (rows + south).tolist(), numbers[used].tolist(), strict=True)
+    )
+
+
+def extent(block: PointBlock, frame: CoordFrame) -> dict[str, Any]:
+    """``bounds`` (half-open, absolute counts) and ``z`` (lowest, highest); None without points."""
+    if len(block) == 0:
+        return {"bounds": None, "z": None}
+    low, high = block.xyz.min(axis=1).tolist(), block.xyz.max(axis=1).tolist()
+    x, y = frame.origin
+    return {
+        "bounds": [low[0] + x, low[1] + y, high[0] + x + 1, high[1] + y + 1],
+        "z": [low[2], high[2]],
+    }

@@ -1,0 +1,78 @@
+"""Variable length records (VLRs and EVLRs): where they lie, walked with bounds."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import BinaryIO
+
+_VLR = struct.Struct("<H16sHH32s")
+_EVLR = struct.Struct("<H16sHQ32s")
+
+PROJECTION_USER = "LASF_Projection"
+LASZIP_USER = "laszip encoded"
+LASZIP_RECORD = 22204
+COPC_USER = "copc"
+
+
+@dataclass(frozen=True)
+class VariableRecord:
+    """One VLR or EVLR.
+
+    Attributes
+    ----------
+    user_id : str
+        Up to its first NUL.
+    record_id : int
+    start : int
+        Byte offset of its own header in the file.
+    payload : int
+        Byte offset of what it holds.
+    length : int
+        Bytes that it holds.
+    """
+
+    user_id: str
+    record_id: int
+    start: int
+    payload: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """The first byte behind it."""
+        return self.payload + self.length
+
+    @property
+    def is_laszip(self) -> bool:
+        """It describes the compression of the points."""
+        return self.record_id == LASZIP_RECORD and self.user_id == LASZIP_USER
+
+    @property
+    def is_copc(self) -> bool:
+        """It belongs to the octree of a COPC file."""
+        return self.user_id == COPC_USER
+
+
+def walk_records(
+    stream: BinaryIO, start: int, count: int, end: int, extended: bool
+) -> tuple[tuple[VariableRecord, ...], bool]:
+    """The records from ``start`` that fit before ``end``, and whether all ``count`` of them did.
+
+    Only the records' own headers are read, and never more of them than there is room for.
+    """
+    form = _EVLR if extended else _VLR
+    found: list[VariableRecord] = []
+    position = start
+    for _ in range(count):
+        if position + form.size > end:
+            return tuple(found), False
+        stream.seek(position)
+        _, user, record_id, length, _ = form.unpack(stream.read(form.size))
+        payload = position + form.size
+        if payload + length > end:
+            return tuple(found), False
+        name = user.split(b"\0")[0].decode("ascii", "replace")
+        found.append(VariableRecord(name, record_id, position, payload, length))
+        position = payload + length
+    return tuple(found), True

@@ -1,0 +1,28 @@
+"""What happens during a run, as plain events; whoever wants to show or keep them listens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+Listener = Callable[[str, dict[str, Any]], None]
+"""Called with the event's name and JSON-able fields.
+
+Names: ``note`` (text), ``warning`` (text), ``stage_started`` (stage, tasks, points, done), ``task_done``
+(stage, key, points, seconds, peak_rss_bytes), ``task_failed`` (stage, key, error), ``stage_finished``
+(stage, seconds), ``run_finished``.
+"""
+
+
+def silent(event: str, fields: dict[str, Any]) -> None:
+    """A listener that ignores everything."""
+
+
+def combine(*listeners: Listener) -> Listener:
+    """One listener that tells all of them, in that order."""
+
+    def tell_all(event: str, fields: dict[str, Any]) -> None:
+        for listener in listeners:
+            listener(event, fields)
+
+    return tell_all

@@ -1,0 +1,39 @@
+"""Logging to stderr, as much of it as -v and -q ask for."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+_LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
+_OWN_LOGGERS = ("tiler", "ptd", "cli")
+
+
+class _StderrHandler(logging.Handler):
+    """Writes to whatever `sys.stderr` is at that moment: progress bars put themselves in its place."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(self.format(record), file=sys.stderr, flush=True)
+
+
+def set_up_logging(verbosity: int) -> None:
+    """Send the log to stderr; calling it again replaces the earlier set-up.
+
+    Parameters
+    ----------
+    verbosity : int
+        -1 or less: errors only; 0: warnings too; 1: what tiler decides and does; 2 or more: everything
+        that tiler logs in detail, and what the libraries say (at level INFO).
+    """
+    level = _LEVELS.get(max(verbosity, -1), logging.DEBUG)
+    handler = _StderrHandler()
+    detailed = "%(levelname)s %(name)s: %(message)s" if verbosity >= 2 else "%(levelname)s: %(message)s"
+    handler.setFormatter(logging.Formatter(detailed))
+    root = logging.getLogger()
+    for old in [h for h in root.handlers if isinstance(h, _StderrHandler)]:
+        root.removeHandler(old)
+    root.addHandler(handler)
+    root.setLevel(logging.INFO if verbosity >= 2 else max(level, logging.WARNING))
+    for name in _OWN_LOGGERS:
+        logging.getLogger(name).setLevel(level)
+    logging.captureWarnings(True)

@@ -1,0 +1,1 @@
+"""Small and equal executors: here, or on Dask workers."""

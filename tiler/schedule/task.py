@@ -1,0 +1,72 @@
+"""A task: a pure function of the store. It reads whole arrays and writes keys that no other task writes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+Work = Callable[[str, dict[str, Any]], dict[str, Any]]
+"""``work(store_url, arguments) -> record``: a module-level function (it travels by name); both JSON-able."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One unit of work, of resume and of retry.
+
+    Attributes
+    ----------
+    stage : str
+        The stage that it belongs to; with `key` it names the commit object in the store.
+    key : str
+        Unique within the stage, safe as a file name.
+    digest : str
+        Of everything that the result depends on. A commit with the same digest means: done already.
+    work : Work
+        Runs on a worker; what it returns is committed with the digest, by the worker.
+    arguments : dict
+        JSON-able, small.
+    points : int
+        How much there is to do, for progress and ETA.
+    """
+
+    stage: str
+    key: str
+    digest: str
+    work: Work
+    arguments: dict[str, Any] = field(default_factory=dict)
+    points: int = 0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a task: its record, or the error that ended it (one line, and its exception's name)."""
+
+    task: Task
+    record: dict[str, Any] | None
+    error: str | None = None
+    error_kind: str | None = None
+    seconds: float = 0.0
+    peak_rss_bytes: int = 0
+
+
+class Executor(Protocol):
+    """Runs tasks; all executors give the same result."""
+
+    workers: int
+
+    def run(self, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+        """Outcomes as they come, in any order, with a bounded number of tasks in flight."""
+        ...
+
+    def close(self) -> None:
+        """Release the workers."""
+        ...
+
+
+def digest_of(*parts: Any) -> str:
+    """A short stable digest of JSON-able values (keys sorted)."""
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=str)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
