@@ -1,0 +1,1 @@
+"""The command ``tiler``: a thin shell over the library, one file per command."""

@@ -49,14 +49,14 @@ class Classic:
         minimum=1.0, maximum=90.0, source="000 2.1",
     )  # fmt: skip
     iteration_angle_deg: float = parameter(
-        6.0, "largest angle between a facet and the line from a point to its nearest corner", unit="deg",
+        25.0, "largest angle between a facet and the line from a point to its nearest corner", unit="deg",
         minimum=0.1, maximum=89.0, source=AXELSSON,
     )  # fmt: skip
     iteration_distance_m: float = parameter(
         1.4, "largest distance of a point to its facet", unit="m", minimum=0.01, maximum=100.0, source=AXELSSON
     )
     edge_length_reduce_m: float = parameter(
-        0.0, "L1: the iteration angle shrinks on facets with shorter edges; 0: never", unit="m", minimum=0.0,
+        5.0, "L1: the iteration angle shrinks on facets with shorter edges; 0: never", unit="m", minimum=0.0,
         maximum=1000.0, source="000 2.3",
     )  # fmt: skip
     edge_length_stop_m: float = parameter(
@@ -70,13 +70,13 @@ class Classic:
     )  # fmt: skip
     low_radius_m: float = parameter(5.0, "low outliers: radius of the search", unit="m", minimum=1.0, maximum=50.0)
     low_depth_m: float = parameter(
-        2.0, "low outliers: so far below everything within the radius but their own group", unit="m",
+        4.0, "low outliers: so far below everything within the radius but their own group", unit="m",
         minimum=0.1, maximum=100.0,
     )  # fmt: skip
     low_group: int = parameter(5, "low outliers: candidates in a group at most; 0: no search", minimum=0, maximum=1000)
     label_pass: bool = parameter(True, "points near the finished TIN become ground too, not only its vertices")
     label_floor_m: float = parameter(
-        0.2, "last pass: closer to the TIN a point is ground at any angle", unit="m", minimum=0.0, maximum=10.0
+        0.3, "last pass: closer to the TIN a point is ground at any angle", unit="m", minimum=0.0, maximum=10.0
     )
 
     def __post_init__(self) -> None:

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
 
@@ -22,8 +22,8 @@ class Rule(NamedTuple):
     max_edge2 : int64
         Square of the longest edge, counts squared; compared exactly.
     max_radius : float64
-        Largest circumradius, counts, may be infinite; compared in float64 in one canonical order of the
-        vertices, so that the answer does not depend on insertion, tile or frame.
+        Largest circumradius, counts, may be infinite; compared in float64 with the edges in the order of
+        their lengths, so that the answer does not depend on insertion, tile or frame.
     """
 
     max_edge2: int
@@ -64,20 +64,21 @@ def facet_passes(vertices: Int32Array, triangles: Int32Array, triangle: int, rul
         A ghost never passes.
     rule : Rule
     """
-    if is_ghost(triangles, triangle):
+    row = 8 * triangle
+    a, b, c = triangles[row + 4], triangles[row + 5], triangles[row + 6]
+    if (a | b | c) < 0:
         return False
-    a, b, c = canonical_facet(vertices, triangles, triangle)
-    ax, ay = vertices[4 * a], vertices[4 * a + 1]
+    ax, ay = wide(vertices[4 * a]), wide(vertices[4 * a + 1])
     bx, by = vertices[4 * b] - ax, vertices[4 * b + 1] - ay
     cx, cy = vertices[4 * c] - ax, vertices[4 * c + 1] - ay
     ab, ac = bx * bx + by * by, cx * cx + cy * cy
     bc = (cx - bx) * (cx - bx) + (cy - by) * (cy - by)
-    if ab > rule.max_edge2 or ac > rule.max_edge2 or bc > rule.max_edge2:
-        return False
-    if rule.max_radius == math.inf:
-        return True
+    longest, shortest = max(ab, bc, ac), min(ab, bc, ac)
+    if longest > rule.max_edge2 or rule.max_radius == math.inf:
+        return bool(longest <= rule.max_edge2)
+    middle = ab + bc + ac - longest - shortest
     doubled = 2.0 * float(bx * cy - by * cx) * rule.max_radius
-    return float(ab) * float(bc) * float(ac) <= doubled * doubled
+    return float(longest) * float(middle) * float(shortest) <= doubled * doubled
 
 
 @kernel

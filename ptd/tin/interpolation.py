@@ -7,6 +7,7 @@ changes no bit, a shift of z by whole counts shifts the result by exactly that.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +15,8 @@ import numpy.typing as npt
 from ptd.kernel import kernel, wide
 from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
-from ptd.tin.predicates import lexicographic_less
 
-__all__ = ["canonical_facet", "heights", "plane_height"]
+__all__ = ["Plane", "canonical_facet", "facet_plane", "height_on", "heights", "plane_height"]
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -26,19 +26,46 @@ _STEPS = 2.0**20  # of a height in one count
 @kernel
 def canonical_facet(vertices: Int32Array, triangles: Int32Array, triangle: int) -> tuple[int, int, int]:
     """Vertices of a real triangle, counter-clockwise, the lexicographically smallest in (x, y) first."""
-    a = wide(triangles[8 * triangle + 4])
-    b = wide(triangles[8 * triangle + 5])
-    c = wide(triangles[8 * triangle + 6])
-    ax, ay = vertices[4 * a], vertices[4 * a + 1]
-    bx, by = vertices[4 * b], vertices[4 * b + 1]
-    cx, cy = vertices[4 * c], vertices[4 * c + 1]
-    if lexicographic_less(ax, ay, bx, by):
-        if lexicographic_less(ax, ay, cx, cy):
-            return a, b, c
-        return c, a, b
-    if lexicographic_less(bx, by, cx, cy):
-        return b, c, a
-    return c, a, b
+    row = 8 * triangle + 4
+    a, b, c = triangles[row], triangles[row + 1], triangles[row + 2]
+    # (x, y) as one int64 in lexicographic order: comparisons without branches that nobody can predict.
+    key_a = (wide(vertices[4 * a]) << 32) + vertices[4 * a + 1]
+    key_b = (wide(vertices[4 * b]) << 32) + vertices[4 * b + 1]
+    key_c = (wide(vertices[4 * c]) << 32) + vertices[4 * c + 1]
+    first = 2 if key_c < min(key_a, key_b) else (1 if key_b < key_a else 0)
+    second = 0 if first == 2 else first + 1
+    third = 2 if first == 0 else first - 1
+    return wide(triangles[row + first]), wide(triangles[row + second]), wide(triangles[row + third])
+
+
+class Plane(NamedTuple):
+    """Plane of a facet, relative to its lexicographically smallest vertex (x, y, z)."""
+
+    x: int
+    y: int
+    z: int
+    slope_x: float  # times the area
+    slope_y: float
+    area: float  # twice the facet's, counts squared
+
+
+@kernel
+def facet_plane(vertices: Int32Array, triangles: Int32Array, triangle: int) -> Plane:
+    """Plane of a real triangle. All products are exact in int64; the slopes are rounded once."""
+    a, b, c = canonical_facet(vertices, triangles, triangle)
+    ax, ay, az = wide(vertices[4 * a]), wide(vertices[4 * a + 1]), wide(vertices[4 * a + 2])
+    bx, by, bz = vertices[4 * b] - ax, vertices[4 * b + 1] - ay, vertices[4 * b + 2] - az
+    cx, cy, cz = vertices[4 * c] - ax, vertices[4 * c + 1] - ay, vertices[4 * c + 2] - az
+    slope_x, slope_y, area = bz * cy - cz * by, bx * cz - cx * bz, bx * cy - cx * by
+    return Plane(ax, ay, az, float(slope_x), float(slope_y), float(area))
+
+
+@kernel
+def height_on(plane: Plane, x: int, y: int, scale: int) -> float:
+    """Height of `plane` at the position (x, y) / scale: see `plane_height`."""
+    dx, dy = float(x - scale * plane.x), float(y - scale * plane.y)
+    rise = (plane.slope_x * dx + plane.slope_y * dy) / (plane.area * float(scale))
+    return float(plane.z) + math.floor(rise * _STEPS + 0.5) / _STEPS
 
 
 @kernel
@@ -62,15 +89,7 @@ def plane_height(
     float64
         Counts, a multiple of 2**-20 (unless it is beyond 2**32 counts from the vertices' heights).
     """
-    a, b, c = canonical_facet(vertices, triangles, triangle)
-    ax, ay, az = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
-    bx, by, bz = vertices[4 * b] - ax, vertices[4 * b + 1] - ay, vertices[4 * b + 2] - az
-    cx, cy, cz = vertices[4 * c] - ax, vertices[4 * c + 1] - ay, vertices[4 * c + 2] - az
-    slope_x = float(bz * cy - cz * by)
-    slope_y = float(bx * cz - cx * bz)
-    area = float(bx * cy - cx * by)
-    rise = (slope_x * float(x - scale * ax) + slope_y * float(y - scale * ay)) / (area * float(scale))
-    return float(az + math.floor(rise * _STEPS + 0.5) / _STEPS)
+    return height_on(facet_plane(vertices, triangles, triangle), x, y, scale)
 
 
 @kernel

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from ptd.kernel import kernel, wide
 from ptd.tin.circles import Rule, Sides, facet_certified, facet_passes
-from ptd.tin.interpolation import Float64Array, plane_height
+from ptd.tin.interpolation import Float64Array, Plane, facet_plane, height_on
 from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, next_edge
 from ptd.tin.predicates import lexicographic_less
 
@@ -141,32 +141,22 @@ def _wins_edge(vertices: Int32Array, triangles: Int32Array, edge: int, rule: Rul
 
 
 @kernel
-def _own_pixel(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    t: int,
-    edge: int,
-    owners: Int32Array,
-    heights: Float64Array,
-    marks: UInt8Array,
-    row: int,
-    column: int,
-    lattice: Lattice,
-    rule: Rule,
-    sides: Sides,
-) -> None:
-    """One pixel whose centre lies inside facet `t`, or on its half-edge `edge` (-1 for none)."""
-    if (owners.size > 0 or heights.size > 0) and facet_passes(vertices, triangles, t, rule):
-        if edge < 0 or _wins_edge(vertices, triangles, edge, rule):
-            if owners.size > 0:
-                owners[row, column] = t
-            if heights.size > 0:
-                x = lattice.x0 + column * lattice.step
-                y = lattice.y0 - row * lattice.step
-                heights[row, column] = plane_height(vertices, triangles, t, x, y, lattice.scale)
-    if marks[row, column] and facet_certified(vertices, triangles, t, sides):
-        if edge < 0 or facet_certified(vertices, triangles, wide(triangles[edge]) >> 3, sides):
-            marks[row, column] = 0
+def _own_border(
+    vertices: Int32Array, triangles: Int32Array, t: int, ea: int, eb: int, ec: int, rule: Rule, sides: Sides
+) -> tuple[bool, bool]:
+    """Whether facet `t` owns a centre on its border, and whether the owner is certain.
+
+    The edge functions that are zero tell where; a centre on a vertex is `_own_vertices`' affair.
+    """
+    if (ea == 0) + (eb == 0) + (ec == 0) == 2:
+        return False, False
+    edge = 8 * t + (0 if ea == 0 else (1 if eb == 0 else 2))
+    other = wide(triangles[edge]) >> 3
+    owned = facet_passes(vertices, triangles, t, rule) and _wins_edge(vertices, triangles, edge, rule)
+    final = facet_certified(vertices, triangles, t, sides) and facet_certified(
+        vertices, triangles, other, sides
+    )
+    return owned, final
 
 
 @kernel
@@ -208,6 +198,8 @@ def _own_facet(
     bx, by = wide(vertices[j]), wide(vertices[j + 1])
     cx, cy = wide(vertices[k]), wide(vertices[k + 1])
     px = x0 + left * step
+    known, passes, certified = False, False, False
+    plane = Plane(wide(0), wide(0), wide(0), 0.0, 0.0, 1.0)
     # Change of the three edge functions from one column to the next.
     da, db, dc = (by - cy) * step, (cy - ay) * step, (ay - by) * step
     for row in range(top, bottom + 1):
@@ -227,15 +219,20 @@ def _own_facet(
             ec += (first - left) * dc
         for column in range(first, last + 1):
             if (ea | eb | ec) >= 0:
-                n_on = (ea == 0) + (eb == 0) + (ec == 0)
-                if n_on < 2:  # a centre on a vertex is not the facets' affair
-                    edge = -1
-                    if n_on == 1:
-                        edge = 8 * t + (0 if ea == 0 else (1 if eb == 0 else 2))
-                    _own_pixel(
-                        vertices, triangles, t, edge, owners, heights, marks, row, column,
-                        lattice, rule, sides,
-                    )  # fmt: skip
+                if not known:  # most facets own no pixel
+                    passes = facet_passes(vertices, triangles, t, rule)
+                    certified = facet_certified(vertices, triangles, t, sides)
+                    plane = facet_plane(vertices, triangles, t)
+                    known = True
+                owned, final = passes, certified
+                if ea == 0 or eb == 0 or ec == 0:
+                    owned, final = _own_border(vertices, triangles, t, ea, eb, ec, rule, sides)
+                if owned and owners.size > 0:
+                    owners[row, column] = t
+                if owned and heights.size > 0:
+                    heights[row, column] = height_on(plane, x0 + column * step, py, scale)
+                if final:
+                    marks[row, column] = 0
             ea += da
             eb += db
             ec += dc

@@ -1,4 +1,6 @@
-"""Export: rasters of the store as cloud-optimised GeoTIFFs, labels as classified clouds.
+"""Export: what people open, made from what the store holds."""
 
-Imports nothing by itself: take ``tiler.export.cog`` or ``tiler.export.classified``.
-"""
+from tiler.export.classified import write_classified
+from tiler.export.cog import write_cog
+
+__all__ = ["write_classified", "write_cog"]

@@ -22,7 +22,7 @@ from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError
 from tiler.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
 from tiler.las.headers import LasHeader, read_header
-from tiler.las.reader import EVERYTHING, PointReader
+from tiler.las.reader import EVERYTHING, PointReader, Records
 from tiler.las.records import LASZIP_RECORD, LASZIP_USER, VariableRecord
 from tiler.store import TileStore, open_store
 
@@ -33,6 +33,7 @@ _CHUNK = 50_000
 _STEP = 10 * _CHUNK
 _COPY = 1 << 20
 _MARK = 0x80
+_WAVE_FORMATS = (9, 10)
 _LASZIP_VLR = struct.Struct("<H16sHH32s")
 
 
@@ -59,7 +60,7 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     InputError
         The source cannot be decoded.
     ProcessingError
-        The file cannot be written.
+        The file cannot be written, or lazrs cannot compress it without loss.
     """
     store = open_store(store_url)
     header = read_header(Path(args["path"]), bool(args.get("salvage", False)))
@@ -166,6 +167,7 @@ def _write_points(
     """All records in their order with their new classes."""
     classes = np.zeros(256, dtype=np.int64)
     changed = refused = 0
+    channels: set[int] = set()
     highest = LEGACY_CLASS_MASK if is_legacy(header.point_format) else 255
     # lazrs reads and writes through a buffer of its own: it is flushed by done().
     compressor = lazrs.LasZipCompressor(target, _laszip(header))
@@ -176,6 +178,12 @@ def _write_points(
             for start in range(first, last, _STEP):
                 stop = min(start + _STEP, last)
                 records = reader.read(start, stop - start)
+                channels |= _channels(header, records)
+                if len(channels) > 1:
+                    raise ProcessingError(
+                        f"{header.path}: wave packets of scanner channels {sorted(channels)} in one LAZ file "
+                        "would be damaged by the compressor; split the file by channel"
+                    )
                 before = class_and_flags(records, header.point_format)[0]
                 new = found[start - first : stop - first]
                 refused += int(np.count_nonzero(new > highest))
@@ -187,6 +195,17 @@ def _write_points(
     compressor.done()
     histogram = {str(c): int(n) for c, n in enumerate(classes.tolist()) if n}
     return {"changed": changed, "refused": refused, "classes": histogram}
+
+
+def _channels(header: LasHeader, records: Records) -> set[int]:
+    """Scanner channels of records with layered wave packets; empty for other formats.
+
+    lazrs 0.8 loses wave packets where the channel changes within a chunk (what it writes it reads back
+    otherwise), in both directions and without a word; all other fields are right.
+    """
+    if header.point_format not in _WAVE_FORMATS:
+        return set()
+    return set(np.unique((records["classification_flags"] >> 4) & 3).tolist())
 
 
 def collect_labels(

@@ -82,8 +82,8 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path`` (the file's name), ``bytes``, ``digest`` (BLAKE2b of the file), ``pixels``, ``valid``, and ``min``, ``max``, ``mean``
-        (vertical units of the CRS, None without a valid pixel).
+        ``path`` (the file's name), ``bytes``, ``digest`` (BLAKE2b of the file), ``pixels``, ``valid``, and ``min``,
+        ``max``, ``mean`` (vertical units of the CRS, None without a valid pixel).
 
     Raises
     ------
@@ -134,7 +134,7 @@ def _copy_as_cog(plain: Path, partial: Path, compress: str) -> None:
     options = {
         "COMPRESS": compress.upper(), "PREDICTOR": "FLOATING_POINT", "OVERVIEW_PREDICTOR": "FLOATING_POINT",
         "BLOCKSIZE": TILE, "OVERVIEW_RESAMPLING": "AVERAGE", "OVERVIEWS": "AUTO", "BIGTIFF": "IF_SAFER",
-        "NUM_THREADS": 1, "STATISTICS": "NO",
+        "NUM_THREADS": 1, "STATISTICS": "AUTO",  # AUTO: those that are there
     }  # fmt: skip
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, GDAL_NUM_THREADS=1), raster_errors(partial):
         partial.unlink(missing_ok=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ import numpy.typing as npt
 import rasterio
 from affine import Affine
 from rasterio.crs import CRS
-from rasterio.errors import RasterioError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from tiler.core.raster import NODATA
@@ -91,6 +92,7 @@ def plain_geotiff(
         "tiled": True, "blockxsize": TILE, "blockysize": TILE, "BIGTIFF": "IF_SAFER", "SPARSE_OK": True,
     }  # fmt: skip
     with (
+        _any_place(),
         rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
         raster_errors(path),
         rasterio.open(path, "w", **profile) as raster,
@@ -99,6 +101,14 @@ def plain_geotiff(
         raster.units = (look.unit,)
         raster.set_band_description(1, look.description)
         yield PlainWriter(raster)
+
+
+@contextmanager
+def _any_place() -> Iterator[None]:
+    """Do without rasterio's warning of a raster of whole units at (0, 0); a GeoTIFF keeps that place, too."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
 
 
 @contextmanager

@@ -1,4 +1,5 @@
-"""Grid: heights of a raster's pixels from the ground points of the merged labels.
+"""Grid: heights at pixel centres on the TIN of the merged ground points, block by block."""
 
-Imports nothing by itself: take ``tiler.grid.block``.
-"""
+from tiler.grid.block import full_halo, grid_block
+
+__all__ = ["full_halo", "grid_block"]

@@ -235,4 +235,5 @@ def _extent(
     low = [min(int(b[axis].min()) for b in blocks) for axis in "XYZ"]
     high = [max(int(b[axis].max()) for b in blocks) for axis in "XYZ"]
     scales, offsets = np.asarray(header.scales), np.asarray(header.offsets)
-    return np.asarray(low) * scales + offsets, np.asarray(high) * scales + offsets
+    with np.errstate(over="ignore"):  # absurd scales: what they make infinite is dropped later, with a reason
+        return np.asarray(low) * scales + offsets, np.asarray(high) * scales + offsets

@@ -16,6 +16,7 @@ _POINTWISE_CHUNKED, _LAYERED = 2, 3
 _VARIABLE = 2**32 - 1
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 _BYTE14 = 14
+_ITEM_VERSION = 3
 
 
 class LazDamage(Exception):
@@ -63,6 +64,11 @@ def parse_laszip(record_data: bytes) -> LazLayout:
     if chunk_size == 0:
         raise LazDamage("its laszip record says chunks of 0 points")
     items = [_ITEM.unpack_from(record_data, _LASZIP.size + i * _ITEM.size) for i in range(n_items)]
+    newer = [version for kind, _, version in items if kind in _LAYERS and version > _ITEM_VERSION]
+    if newer:
+        raise LazDamage(
+            f"its points are compressed by items of version {newer[0]}, {_ITEM_VERSION} can be read"
+        )
     layers = 0
     if compressor == _LAYERED:
         layers = sum(size if kind == _BYTE14 else _LAYERS.get(kind, 0) for kind, size, _ in items)
@@ -90,7 +96,8 @@ def read_table(
         )
     stream.seek(table)
     _, chunks = struct.unpack("<II", stream.read(8))
-    if chunks * layout.item_size > table - data or chunks > point_count:
+    # One more than needed: some writers end with an empty chunk.
+    if (chunks - 1) * layout.item_size > table - data or chunks > point_count + 1:
         raise LazDamage(
             f"its chunk table says {chunks} chunks, {table - data} bytes hold {point_count} points"
         )
@@ -98,7 +105,8 @@ def read_table(
     entries = np.asarray(lazrs.read_chunk_table(stream, lazrs.LazVlr(layout.record_data)), dtype=np.int64)
     counts, sizes = entries.reshape(-1, 2).T
     counts = _true_counts(layout, counts, point_count)
-    if sizes.size and (int(sizes.min()) < layout.item_size or int(sizes.sum()) > table - data):
+    sizes = sizes[: counts.size]
+    if sizes.size and (int(sizes.min()) < 0 or int(sizes.sum()) > table - data):
         raise LazDamage(f"its chunk table says {int(sizes.sum())} bytes of points, {table - data} are there")
     return counts, np.ascontiguousarray(sizes)
 
@@ -110,7 +118,7 @@ def _true_counts(layout: LazLayout, counts: npt.NDArray[np.int64], point_count: 
             raise LazDamage(f"its chunks have {int(counts.sum())} points, its header says {point_count}")
         return np.ascontiguousarray(counts)
     needed = -(-point_count // layout.chunk_size)
-    if counts.size != needed:
+    if not needed <= counts.size <= needed + 1:
         raise LazDamage(f"its chunk table has {counts.size} chunks, {point_count} points need {needed}")
     full = np.full(needed, layout.chunk_size, dtype=np.int64)
     if needed:
@@ -145,7 +153,7 @@ def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first:
     for chunk in range(first, stop):
         size = int(layout.sizes[chunk])
         claim = layered_chunk(stream, layout, start)
-        if claim is None or claim[1] > size:
+        if layout.counts[chunk] and (claim is None or claim[1] > size):
             raise LazDamage(
                 f"chunk {chunk} says {claim[1] if claim else 'more'} bytes, its table {size}: damaged"
             )

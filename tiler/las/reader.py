@@ -79,6 +79,8 @@ class PointReader:
         self._selection = selection
         with decoding(header.path):
             self._file: BinaryIO = open(header.path, "rb")  # noqa: SIM115 - closed by close()
+            # The decoder goes on where it left its file: checks of what comes next use another one.
+            self._probe: BinaryIO = open(header.path, "rb")  # noqa: SIM115
         self._decoder: Any = None
         self._next = 0
 
@@ -91,9 +93,10 @@ class PointReader:
         self.close()
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the files."""
         self._decoder = None
         self._file.close()
+        self._probe.close()
 
     def read(self, start: int, count: int) -> Records:
         """Records ``start`` to ``start + count``, structured, shape (count,); raises InputError."""
@@ -122,7 +125,7 @@ class PointReader:
             first, last = (int(i) for i in np.searchsorted(ends, (start, start + count - 1), side="right"))
             stop = last + 1
             if layout.layers:
-                check_layers(self._file, layout, self.header.points_offset, first, stop)
+                check_layers(self._probe, layout, self.header.points_offset, first, stop)
         if self._decoder is None or start != self._next:
             self._decoder, self._next = self._open_decoder(layout, start, first)
             self._skip(start - self._next)

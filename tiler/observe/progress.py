@@ -153,7 +153,8 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
                 bars.console.print(failure_text(fields), markup=False, highlight=False)
             elif event == "stage_started":
                 stage = _stage_of(fields, time.monotonic())
-                bar = bars.add_task(stage.name, total=1.0, completed=stage.fraction, rate="")
+                bar = bars.add_task(stage.name, total=1.0, rate="")
+                bars.update(bar, completed=stage.fraction)
                 stages[stage.name] = (stage, bar)
             elif event == "task_done" and fields["stage"] in stages:
                 stage, bar = stages[fields["stage"]]

@@ -1,1 +1,17 @@
-"""Small and equal executors: here, or on Dask workers."""
+"""Small and equal executors: in this process, or on Dask workers."""
+
+from __future__ import annotations
+
+from tiler.schedule.serial import SerialExecutor
+from tiler.schedule.task import Executor, Outcome, Perform, Task, Work, digest_of
+
+__all__ = ["Executor", "Outcome", "Perform", "SerialExecutor", "Task", "Work", "digest_of", "make_executor"]
+
+
+def make_executor(workers: int, address: str | None = None) -> Executor:
+    """This process for one worker, else Dask (imported only then)."""
+    if workers == 1 and address is None:
+        return SerialExecutor()
+    from tiler.schedule.workers import DaskExecutor
+
+    return DaskExecutor(workers, address)

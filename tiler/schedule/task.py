@@ -52,12 +52,16 @@ class Outcome:
     peak_rss_bytes: int = 0
 
 
+Perform = Callable[[str, Task], Outcome]
+"""``perform(store_url, task)``: runs the work on a worker, commits its record, never raises for a failed task."""
+
+
 class Executor(Protocol):
     """Runs tasks; all executors give the same result."""
 
     workers: int
 
-    def run(self, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes as they come, in any order, with a bounded number of tasks in flight."""
         ...
 
@@ -68,5 +72,5 @@ class Executor(Protocol):
 
 def digest_of(*parts: Any) -> str:
     """A short stable digest of JSON-able values (keys sorted)."""
-    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=str)
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"))
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

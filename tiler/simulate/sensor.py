@@ -35,8 +35,8 @@ class AlsSensor:
         Pulses per square metre; square pattern, scan lines along x.
     sigma_m : float
         Standard deviation of the heights.
-    flying_height_m, strip_m : float
-        Above height 0 of the scene's `Terrain.base`; the strips (along y) lie side by side without overlap.
+    flying_height_m, strip_m, overlap_m : float
+        Height above `Terrain.base`; distance of the strips, which run along y, and how far neighbours overlap.
     max_returns : int
         Later returns of a pulse are lost.
     low_singles_km2, low_groups_km2, high_km2 : float
@@ -48,6 +48,7 @@ class AlsSensor:
     sigma_m: float = 0.03
     flying_height_m: float = 900.0
     strip_m: float = 300.0
+    overlap_m: float = 20.0
     max_returns: int = 5
     low_singles_km2: float = 150.0
     low_groups_km2: float = 40.0
@@ -82,17 +83,21 @@ class _Hits:
 
 
 def _pulses(sensor: AlsSensor, base: float, box: Box, rng: np.random.Generator) -> Rays:
-    """Rays through a jittered square pattern over ``box`` (x0, y0, x1, y1) on the level ``base``."""
-    step = sensor.density**-0.5
-    columns = np.arange(np.floor(box[0] / step), np.ceil(box[2] / step))
-    rows = np.arange(np.floor(box[1] / step), np.ceil(box[3] / step))
-    x, y = (grid.ravel() for grid in np.meshgrid((columns + 0.5) * step, (rows + 0.5) * step))
-    x = x + rng.uniform(-0.2 * step, 0.2 * step, len(x))
-    y = y + rng.uniform(-0.2 * step, 0.2 * step, len(y))
-    axis = (np.floor(x / sensor.strip_m) + 0.5) * sensor.strip_m
-    lx = (axis - x) / sensor.flying_height_m
-    ly = np.full(len(x), FORWARD_TILT)
-    return Rays(x - lx * base, y - ly * base, lx, ly)
+    """Rays through a jittered square pattern over ``box`` (x0, y0, x1, y1) on the level ``base``, strip by strip."""
+    step, lap = sensor.density**-0.5, sensor.overlap_m / 2
+    rows = (np.arange(np.floor(box[1] / step), np.ceil(box[3] / step)) + 0.5) * step
+    first, last = np.floor((box[0] - lap) / sensor.strip_m), np.floor((box[2] + lap) / sensor.strip_m)
+    parts = []
+    for strip in np.arange(first, last + 1):
+        west = max(box[0], strip * sensor.strip_m - lap)
+        east = min(box[2], (strip + 1) * sensor.strip_m + lap)
+        columns = (np.arange(np.ceil(west / step - 0.5), np.ceil(east / step - 0.5)) + 0.5) * step
+        x, y = (grid.ravel() for grid in np.meshgrid(columns, rows))
+        x = x + rng.uniform(-0.2 * step, 0.2 * step, len(x))
+        y = y + rng.uniform(-0.2 * step, 0.2 * step, len(y))
+        lx = ((strip + 0.5) * sensor.strip_m - x) / sensor.flying_height_m
+        parts.append(np.stack((x - lx * base, y - FORWARD_TILT * base, lx, np.full(len(x), FORWARD_TILT))))
+    return Rays(*np.concatenate(parts, axis=1))
 
 
 def _ground(terrain: Terrain, rays: Rays) -> Floats:
@@ -190,7 +195,7 @@ def scan(
     Pulses are shot at a slightly larger box, as slanted ones end elsewhere; what falls outside is left to the
     neighbour's own scan, so boxes side by side give each place its density once.
     """
-    margin = REACH_M * (sensor.strip_m / sensor.flying_height_m / 2 + FORWARD_TILT)
+    margin = REACH_M * ((sensor.strip_m + sensor.overlap_m) / 2 / sensor.flying_height_m + FORWARD_TILT)
     wide = (box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin)
     rays = _pulses(sensor, terrain.base, wide, rng)
     objects = objects.touching(*box, 2 * margin)

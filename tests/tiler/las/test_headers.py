@@ -136,3 +136,19 @@ def test_digest_is_of_what_lies_before_the_points(make_cloud: Any) -> None:
     digest = read_header(first).digest
     assert digest == read_header(first).digest
     assert digest != read_header(patch(first, 131, "<d", 0.02)).digest
+
+
+@pytest.mark.parametrize("n", [1, 49_999, 50_000, 50_001, 100_000])
+@pytest.mark.parametrize("point_format", [0, 6])
+def test_chunks_that_are_just_full(make_cloud: Any, n: int, point_format: int) -> None:
+    header = read_header(make_cloud("full.laz", n=n, point_format=point_format, version="1.4"))
+    assert header.laz is not None
+    assert int(header.laz.counts.sum()) == n
+
+
+def test_items_of_a_newer_laszip_are_refused_by_version(make_cloud: Any) -> None:
+    path = make_cloud("v4.laz", point_format=6, version="1.4")
+    laszip = next(v for v in read_header(path).vlrs if v.is_laszip)
+    patch(path, laszip.payload + 34 + 4, "<H", 4)
+    with pytest.raises(InputError, match="items of version 4"):
+        read_header(path)

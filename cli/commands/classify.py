@@ -1,0 +1,34 @@
+"""``tiler classify``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from cli.options import config_options, json_option, read_config
+from cli.output import print_facts, print_json
+from cli.session import TilerCommand, current_session
+
+SETTINGS = ("method", "parameters", "memory", "units", "keep_classes", "skip_synthetic", "skip_overlap", "salvage")
+
+
+@click.command("classify", cls=TilerCommand)
+@click.argument("source", metavar="IN", type=click.Path())
+@click.argument("target", metavar="OUT.laz", type=click.Path())
+@config_options(only=SETTINGS)
+@json_option
+def command(source: str, target: str, as_json: bool, **settings: Any) -> None:
+    """One file to one classified file, with no store left behind.
+
+    OUT.laz gets the points of IN in the same order, with new classes. Needs no CRS: where IN has none, its
+    coordinates are taken for metres, or for what --units says.
+    """
+    config = read_config(settings)
+    from tiler.classify import classify_file
+
+    facts = classify_file(source, target, config)
+    if as_json:
+        print_json(facts)
+    elif not current_session().quiet:
+        print_facts(facts)

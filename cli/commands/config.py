@@ -1,0 +1,74 @@
+"""``tiler config``."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import click
+
+from cli.options import SETTINGS, config_options, describe_setting, read_config
+from cli.session import TilerCommand
+from tiler.config import RunConfig
+from tiler.errors import ConfigError
+
+HEAD = "# Settings of tiler, for --config; options of the command line win. What is commented out has no value."
+LAST = "parameters"  # a table: TOML wants it after the plain values
+
+
+@click.command("config", cls=TilerCommand)
+@click.option("--template", is_flag=True, help="all settings with help, unit and default [default: no]")
+@config_options()
+def command(template: bool, **settings: Any) -> None:
+    """The effective settings, or a commented file to start from.
+
+    Prints TOML: what a command with the same options (and --config FILE.toml) would work with, with every
+    parameter of the method; with --template all settings and what they mean.
+    """
+    config = read_config(settings)
+    lines = [HEAD, ""]
+    for name in (n for n in SETTINGS if n != LAST):
+        if template:
+            lines.append(f"# {describe_setting(SETTINGS[name])}")
+        lines.append(setting_line(name, config))
+        if template:
+            lines.append("")
+    lines.extend(_parameter_lines(config, template))
+    click.echo("\n".join(lines))
+
+
+def setting_line(name: str, config: RunConfig) -> str:
+    """``name = value`` in TOML, commented out where there is no value."""
+    value = config.to_json()[name]
+    return f"# {name} =" if value is None else toml_line(name, value)
+
+
+def toml_line(name: str, value: Any) -> str:
+    """``name = value`` in TOML on one line."""
+    import tomli_w
+
+    if isinstance(value, list):  # the library writes arrays over several lines
+        items = (tomli_w.dumps({"v": v}).removeprefix("v = ").strip() for v in value)
+        return f"{name} = [{', '.join(items)}]"
+    return tomli_w.dumps({name: value}).strip()
+
+
+def _parameter_lines(config: RunConfig, template: bool) -> list[str]:
+    """The table of the method's parameters, every one with its effective value."""
+    lines = ["[parameters]"] if not template else [f"# {describe_setting(SETTINGS[LAST])}", "[parameters]"]
+    if config.method == "keep":
+        return lines
+    from ptd.methods import make_params
+
+    try:
+        params = make_params(config.method, dict(config.parameters))
+    except ValueError as error:
+        raise ConfigError(f"{error}; see `tiler methods`") from error
+    for spec in dataclasses.fields(params):
+        if template:
+            unit = f" [unit: {spec.metadata['unit']}]" if spec.metadata["unit"] else ""
+            lines.append(f"# {spec.metadata['help']}{unit}")
+        # The template must not freeze parameters that a newer version, or another method, sets otherwise.
+        mark = "# " if template else ""
+        lines.append(mark + toml_line(spec.name, getattr(params, spec.name)))
+    return lines

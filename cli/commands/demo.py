@@ -1,0 +1,43 @@
+"""``tiler demo``."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+from cli.options import config_options, json_option, read_config
+from cli.output import print_json
+from cli.session import TilerCommand, current_session
+from cli.summary import score_lines, summary_lines
+
+SETTINGS = ("method", "parameters", "resolution", "tile_size", "halo", "memory", "workers", "scheduler", "overwrite")
+
+
+@click.command("demo", cls=TilerCommand, resumes=True)
+@click.option("-o", "--out", default="tiler-demo", type=click.Path(), metavar="OUT",
+              help="folder of the results [default: tiler-demo]")  # fmt: skip
+@click.option("--seed", default=1, type=click.IntRange(min=0), metavar="N",
+              help="of the simulated city; the same seed gives the same city [default: 1]")  # fmt: skip
+@config_options(only=SETTINGS)
+@json_option
+def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
+    """Simulate a small city, run the whole job on it, score it.
+
+    OUT/input gets the city's clouds and its true classes and terrain, OUT what `tiler run` writes. Prints the
+    errors of the classes and of the DTM against the truth.
+    """
+    config = read_config(settings)
+    from tiler.demo import run_demo
+    from tiler.observe.progress import open_progress
+
+    session = current_session()
+    with open_progress(sys.stderr, session.quiet) as listener:
+        result = run_demo(out, seed, config, listener)
+    if as_json:
+        print_json(result.to_json())
+    elif not session.quiet:
+        for line in (*summary_lines(result.summary), *score_lines(result.classes, result.dtm)):
+            click.echo(line)
+    return result.exit_code

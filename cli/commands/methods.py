@@ -1,0 +1,67 @@
+"""``tiler methods``."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import click
+
+from cli.options import json_option
+from cli.output import print_json, print_table
+from cli.session import TilerCommand
+from tiler.errors import ConfigError
+
+COLUMNS = ("parameter", "default", "unit", "range", "source", "meaning")
+
+
+@click.command("methods", cls=TilerCommand)
+@click.argument("name", metavar="[METHOD]", required=False)
+@json_option
+def command(name: str | None, as_json: bool) -> None:
+    """The ground filters and their parameters.
+
+    Every method, or only METHOD, with default, unit, range and source of each parameter. `--method METHOD`
+    chooses one, `--set PARAMETER=VALUE` changes a parameter; the unit at the end of its name can be left out.
+    """
+    from ptd.methods import METHODS
+
+    if name is not None and name not in METHODS:
+        raise ConfigError(f"no method {name!r}; there are {', '.join(METHODS)}")
+    chosen = {n: m for n, m in METHODS.items() if name in (None, n)}
+    facts = {n: {"summary": m.summary, "parameters": parameter_facts(m.params)} for n, m in chosen.items()}
+    if as_json:
+        print_json(facts)
+        return
+    for method, fact in facts.items():
+        rows = [_row(p) for p in fact["parameters"]]
+        print_table(f"{method}: {fact['summary']}", COLUMNS, rows)
+
+
+def parameter_facts(params: Any) -> list[dict[str, Any]]:
+    """Name, default and metadata of each field of a parameter dataclass."""
+    return [{"name": f.name, "default": f.default, **f.metadata} for f in dataclasses.fields(params)]
+
+
+def _row(fact: dict[str, Any]) -> tuple[str, ...]:
+    return (
+        fact["name"], _text(fact["default"]), fact["unit"], range_text(fact["minimum"], fact["maximum"]),
+        fact["source"], fact["help"],
+    )  # fmt: skip
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value)
+
+
+def range_text(minimum: float | None, maximum: float | None) -> str:
+    """A closed range, open where there is no limit."""
+    if minimum is None and maximum is None:
+        return ""
+    if maximum is None:
+        return f">= {minimum:g}"
+    if minimum is None:
+        return f"<= {maximum:g}"
+    return f"{minimum:g} to {maximum:g}"

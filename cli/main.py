@@ -1,0 +1,128 @@
+"""The entry point: finds the command, and turns whatever ends it into an exit code and one line."""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+import click
+
+from cli import exit_codes
+from cli.session import Session
+from tiler import __version__
+from tiler.errors import TilerError
+
+COMMANDS = {
+    "run": "The whole job: clouds to a DTM and classified clouds.",
+    "plan": "Dry run: what a run would do, and what it needs.",
+    "ingest": "First stage: the clouds' points into the tile store.",
+    "filter": "Second stage: find the ground, tile by tile.",
+    "grid": "Third stage: interpolate the ground at the pixels.",
+    "export": "Fourth stage: write the DTM and the classified clouds.",
+    "classify": "One file to one classified file, with no store left behind.",
+    "info": "What a cloud, a store, a result folder or a raster holds.",
+    "methods": "The ground filters and their parameters.",
+    "evaluate": "Score a cloud's classes against a reference.",
+    "config": "The effective settings, or a commented file to start from.",
+    "demo": "Simulate a small city, run the whole job on it, score it.",
+}
+"""Commands in the order of the help, with its line for each: help must not import them all."""
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are modules of `cli.commands`, imported when they are used."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names of `COMMANDS`."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import the command's module."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = importlib.import_module(f"cli.commands.{cmd_name}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list of the help, from the table."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=LazyGroup, invoke_without_command=True, epilog=exit_codes.EPILOG)
+@click.version_option(__version__, prog_name="tiler")
+@click.pass_context
+def group(context: click.Context) -> int:
+    """Point clouds of any size to terrain.
+
+    `tiler run INPUT... -o OUT` does the whole job; `tiler COMMAND --help` tells the rest.
+    """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help(), err=True)
+        return exit_codes.USAGE
+    return exit_codes.DONE
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Instead of those of the process.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    session = Session()
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        code: Any = group.main(arguments, prog_name="tiler", standalone_mode=False, obj=session)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else exit_codes.DONE
+    except SystemExit:
+        raise
+    except BaseException as error:  # noqa: BLE001 - a decoder may panic with what is no Exception
+        return _end(error, session)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _interrupt(number: int, frame: object) -> NoReturn:
+    """SIGTERM ends a command as Ctrl-C does."""
+    raise KeyboardInterrupt
+
+
+def _end(error: BaseException, session: Session) -> int:
+    """Say on stderr what ended the command, in one line; the exit code."""
+    if session.verbosity >= 2:
+        traceback.print_exception(error)
+    if isinstance(error, KeyboardInterrupt | click.Abort):
+        rest = "; the same command goes on where it was" if session.resumes else ""
+        click.echo(f"tiler: interrupted{rest}", err=True)
+        return exit_codes.INTERRUPTED
+    text, code = _line_and_code(error)
+    click.echo(f"tiler: error: {' '.join(text.split())}", err=True)
+    return code
+
+
+def _line_and_code(error: BaseException) -> tuple[str, int]:
+    if isinstance(error, TilerError):
+        return str(error), error.exit_code
+    if isinstance(error, click.UsageError):
+        path = error.ctx.command_path if error.ctx else "tiler"
+        return f"{error.format_message().rstrip('.')}; see `{path} --help`", exit_codes.USAGE
+    if isinstance(error, click.ClickException):
+        return error.format_message(), exit_codes.USAGE
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return f"unexpected {text}; the same command with -vv shows the traceback", exit_codes.PROCESSING
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,116 @@
+"""Options made from the settings of a run: their names, help, units and defaults have one home."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from tiler.config import RunConfig, load_config, parse_pairs
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+SETTINGS = {spec.name: spec for spec in dataclasses.fields(RunConfig)}
+
+_METAVARS = {"length": "LENGTH", "bytes": "SIZE", "classes": "N,N,...", "pairs": "NAME=VALUE",
+             "bounds": "X0 Y0 X1 Y1", "int": "N"}  # fmt: skip
+
+
+def config_options(only: Collection[str] | None = None) -> Callable[[Command], Command]:
+    """Decorate a command with ``--config`` and an option for each setting, or for those of ``only``.
+
+    The command gets them as keyword arguments for `read_config`.
+    """
+
+    def decorate(command: Command) -> Command:
+        for spec in reversed(SETTINGS.values()):
+            if only is None or spec.name in only:
+                command = _option(spec)(command)
+        file_option = click.option(
+            "--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
+            help="settings to start from (see `tiler config --template`); options win [default: none]",
+        )  # fmt: skip
+        return file_option(command)
+
+    return decorate
+
+
+def read_config(settings: dict[str, Any]) -> RunConfig:
+    """The effective settings: defaults, then the TOML file, then the options that were given.
+
+    Parameters
+    ----------
+    settings : dict
+        What `config_options` gave to the command.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be read, or a setting is refused.
+    """
+    file = settings.get("config_file")
+    values: dict[str, Any] = load_config(file) if file is not None else {}
+    given = {k: v for k, v in settings.items() if k in SETTINGS and v is not None and v != ()}
+    if "parameters" in given:
+        # One parameter given as an option leaves the others of the file as they are.
+        of_file = parse_pairs(values.get("parameters", {}))
+        given["parameters"] = dict(of_file) | dict(parse_pairs(given["parameters"]))
+    return RunConfig.from_mapping(values | given)
+
+
+def default_text(spec: dataclasses.Field[Any]) -> str:
+    """The default of a setting as people write it; empty where it is decided from the data."""
+    value = spec.default
+    if value is None or value == ():
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple):
+        return ",".join(str(v) for v in value)
+    return str(value)
+
+
+def describe_setting(spec: dataclasses.Field[Any]) -> str:
+    """Help, unit and default of a setting in one line."""
+    parts = [f"unit: {spec.metadata['unit']}"] if spec.metadata["unit"] else []
+    text = default_text(spec)
+    if text:
+        parts.append(f"default: {text}")
+    elif "default" not in spec.metadata["help"]:
+        parts.append("default: none")
+    return spec.metadata["help"] + (f" [{'; '.join(parts)}]" if parts else "")
+
+
+def _option(spec: dataclasses.Field[Any]) -> Callable[[Command], Command]:
+    kind, name = spec.metadata["kind"], spec.name.replace("_", "-")
+    help = describe_setting(spec)
+    metavar = _METAVARS.get(kind, spec.name.upper())
+    if kind == "flag":
+        return click.option(f"--{name}/--no-{name}", spec.name, default=None, help=help)
+    if kind == "pairs":
+        help = f"{help.split(' [')[0]}; repeatable [default: the method's own]"
+        return click.option("--set", spec.name, multiple=True, metavar=metavar, help=help)
+    if kind == "bounds":
+        return click.option(f"--{name}", spec.name, nargs=4, type=float, metavar=metavar, help=help)
+    if kind == "int":
+        return click.option(f"--{name}", spec.name, type=int, metavar=metavar, help=help)
+    if kind == "choice":
+        choice = click.Choice(spec.metadata["choices"])
+        return click.option(f"--{name}", spec.name, type=choice, help=help)
+    return click.option(f"--{name}", spec.name, metavar=metavar, help=help)
+
+
+inputs_argument = click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
+"""Files, folders and globs."""
+
+out_option = click.option(
+    "-o", "--out", required=True, type=click.Path(), metavar="OUT",
+    help="folder of the results; the same OUT again goes on where it stopped [required, no default]",
+)  # fmt: skip
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="print the result as JSON to stdout [default: no, for people]"
+)

@@ -1,0 +1,66 @@
+"""Results for stdout: JSON, tables (rich on a terminal, plain elsewhere) and lines of facts."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import click
+
+
+def print_json(value: Any) -> None:
+    """Indented JSON."""
+    click.echo(json.dumps(value, indent=2, default=str, ensure_ascii=False))
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table with a heading: drawn and wrapped by rich on a terminal, aligned and unwrapped elsewhere."""
+    if sys.stdout.isatty():
+        from rich.console import Console
+        from rich.markup import escape
+        from rich.table import Table
+
+        table = Table(*columns, title=escape(title), title_justify="left")
+        for row in rows:
+            table.add_row(*(escape(cell) for cell in row))
+        Console().print(table)
+        return
+    widths = [max(len(line[i]) for line in (columns, *rows)) for i in range(len(columns))]
+    click.echo(title)
+    for line in (columns, *rows):
+        click.echo(("  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True))).rstrip())
+
+
+def print_facts(facts: Mapping[str, Any]) -> None:
+    """One line a fact, names aligned, nested facts below theirs; facts that are None are left out."""
+    for line in fact_lines(facts):
+        click.echo(line)
+
+
+def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:
+    """The lines of `print_facts`."""
+    shown = {name.replace("_", " "): value for name, value in facts.items() if value is not None}
+    width = max((len(name) for name in shown), default=0)
+    lines = []
+    for name, value in shown.items():
+        if isinstance(value, Mapping):
+            lines.append(f"{indent}{name}")
+            lines.extend(fact_lines({str(k): v for k, v in value.items()}, indent + "  "))
+        else:
+            lines.append(f"{indent}{name.ljust(width)}  {_fact_text(value)}")
+    return lines
+
+
+def _fact_text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    if isinstance(value, list | tuple):
+        separator = "; " if any(isinstance(v, str) for v in value) else ", "
+        return separator.join(_fact_text(v) for v in value) or "none"
+    return str(value)

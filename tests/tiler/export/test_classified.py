@@ -1,0 +1,228 @@
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+
+from tiler.core.lattice import Cell
+from tiler.core.points import PointBlock, pack_origin
+from tiler.errors import InputError, ProcessingError
+from tiler.export import classified
+from tiler.export.classified import write_classified
+from tiler.las.headers import LasHeader, read_header, read_payload
+from tiler.las.reader import EVERYTHING, PointReader
+
+ALL_FORMATS = [
+    (f, v) for f in range(11) for v in ("1.2", "1.3", "1.4") if f <= {"1.2": 3, "1.3": 5, "1.4": 10}[v]
+]
+
+
+def label(store: Any, labels: dict[int, int], source: int = 4) -> list[list[int]]:
+    """Put labels of rows into two buckets of the store, among points of another source, marks set."""
+    cells = [Cell(0, 0), Cell(1, 0)]
+    for k, cell in enumerate(cells):
+        rows = np.array([r for r in labels if r % 2 == k][::-1], dtype=np.int64)
+        origin = np.concatenate((pack_origin(source, rows), pack_origin(source + 1, rows)))
+        values = np.array([labels[int(r)] for r in rows] + [9] * len(rows), dtype=np.uint8)
+        values[::3] |= 0x80
+        store.written[cell] = PointBlock(np.zeros((3, len(origin)), np.int32), origin=origin)
+        store.labels["final", cell] = values
+    return [[c.ix, c.iy] for c in cells]
+
+
+def export(path: Path, out: Path, cells: list[list[int]], **args: Any) -> dict[str, Any]:
+    return write_classified(
+        "memory", {"path": str(path), "source": 4, "out": str(out), "labels": "final", "cells": cells, **args}
+    )
+
+
+def raw_records(path: Path, header: LasHeader, extended: bool) -> list[bytes]:
+    data = path.read_bytes()
+    records = header.evlrs if extended else header.vlrs
+    return [data[r.start : r.end] for r in records if not r.is_laszip and not r.is_copc]
+
+
+def decoded(path: Path) -> np.ndarray:
+    header = read_header(path)
+    with PointReader(header, EVERYTHING) as reader:
+        return reader.read(0, header.point_count).copy()
+
+
+def without_class(records: np.ndarray, point_format: int) -> bytes:
+    records = records.copy()
+    if point_format < 6:
+        records["raw_classification"] &= 0xE0
+    else:
+        records["classification"] = 0
+    return records.tobytes()
+
+
+def assert_equal_but_classes(source: Path, out: Path) -> None:
+    """Header fields, records, bytes between them and points of two files."""
+    one, two = read_header(source), read_header(out)
+    assert without_class(decoded(source), one.point_format) == without_class(decoded(out), two.point_format)
+    assert raw_records(source, one, False) == raw_records(out, two, False)
+    assert raw_records(source, one, True) == raw_records(out, two, True)
+    a, b = source.read_bytes()[: one.header_size], out.read_bytes()[: two.header_size]
+    moved = {*range(96, 105), *(range(227, 247) if one.version[1] >= 3 else ())}
+    assert [i for i in range(one.header_size) if a[i] != b[i] and i not in moved] == []
+    gap = source.read_bytes()[one.vlrs[-1].end if one.vlrs else one.header_size : one.points_offset]
+    assert out.read_bytes()[: two.points_offset].endswith(gap)
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize(("point_format", "version"), ALL_FORMATS)
+def test_all_but_the_classes_is_equal(
+    make_cloud: Any, memory_store: Any, tmp_path: Path, point_format: int, version: str, suffix: str
+) -> None:
+    evlr = b"waves" * 100 if version == "1.4" else None
+    path = make_cloud(f"a.{suffix}", point_format=point_format, version=version, extra=True, evlr=evlr)
+    labels = {row: 1 + row % 2 for row in range(100, 900)}
+    labels[500] = 0
+    out = tmp_path / "out" / "deep" / "a.laz"
+    record = export(path, out, label(memory_store, labels))
+    assert_equal_but_classes(path, out)
+    before, after = np.asarray(laspy.read(path).classification), np.asarray(laspy.read(out).classification)
+    expected = before.copy()
+    for row, value in labels.items():
+        expected[row] = value or before[row]
+    np.testing.assert_array_equal(after, expected)
+    assert record["points"] == 1000
+    assert record["changed"] == np.count_nonzero(before != expected)
+    assert record["bytes"] == out.stat().st_size
+    assert sum(record["classes"].values()) == 1000
+    assert [p.name for p in out.parent.iterdir()] == ["a.laz"]
+
+
+ODD = ["1.0_0.las", "4_6_crop.las", "bad_vlr_count.las", "epsg_4326.las", "extra.laz", "fullwave.laz",
+       "file_with_both_wkt_and_geotiff_vlrs.las", "gps-time-nan.las", "no-points.las", "simple1_3.las",
+       "vegetation_1_3.las", "warsaw_small.las"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_files_come_back_whole(shared_data: Path, memory_store: Any, tmp_path: Path, name: str) -> None:
+    path = shared_data / "odd" / name
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    out = tmp_path / "o.laz"
+    export(path, out, label(memory_store, {0: 2}))
+    assert_equal_but_classes(path, out)
+    if name != "no-points.las":
+        assert laspy.read(out).classification[0] == 2
+
+
+def test_waveform_packets_of_las_1_3_move_with_their_position(
+    shared_data: Path, memory_store: Any, tmp_path: Path
+) -> None:
+    path = shared_data / "odd" / "simple1_3.las"
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    out = tmp_path / "w.laz"
+    export(path, out, [])
+    old, new = read_header(path), read_header(out)
+    packets = path.read_bytes()[old.waveform_start :]
+    assert len(packets) == 160
+    assert out.read_bytes()[new.waveform_start :] == packets
+
+
+def test_waveform_packets_of_las_1_4_are_an_evlr(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
+    path = make_cloud("w.las", point_format=9, version="1.4", evlr=b"packets")
+    header = read_header(path)
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<Q", data, 227, header.evlrs[0].start)
+    path.write_bytes(data)
+    out = tmp_path / "w.laz"
+    export(path, out, [])
+    new = read_header(out)
+    assert new.waveform_start == new.evlrs[0].start
+    assert read_payload(out, new.evlrs[0]) == b"packets"
+
+
+def test_copc_becomes_plain_laz(shared_data: Path, memory_store: Any, tmp_path: Path) -> None:
+    path = shared_data / "odd" / "simple.copc.laz"
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    out = tmp_path / "c.laz"
+    record = export(path, out, label(memory_store, {0: 2, 1064: 2}))
+    assert "COPC" in record["notes"][0]
+    header = read_header(out)
+    assert not any(r.is_copc for r in (*header.vlrs, *header.evlrs))
+    assert header.evlrs == ()
+    assert_equal_but_classes(path, out)
+    assert np.asarray(laspy.read(out).classification)[[0, 1064]].tolist() == [2, 2]
+
+
+def test_rows_in_several_ranges_and_steps(
+    make_cloud: Any, memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(classified, "ROWS_AT_ONCE", 300)
+    monkeypatch.setattr(classified, "_STEP", 70)
+    path = make_cloud("a.laz")
+    labels = {row: 1 + row % 2 for row in range(1000)}
+    out = tmp_path / "r.laz"
+    export(path, out, label(memory_store, labels))
+    assert np.asarray(laspy.read(out).classification).tolist() == [labels[r] for r in range(1000)]
+    assert_equal_but_classes(path, out)
+
+
+def test_classes_that_a_format_cannot_hold_are_noted(
+    make_cloud: Any, memory_store: Any, tmp_path: Path
+) -> None:
+    path, out = make_cloud("a.las"), tmp_path / "a.laz"
+    record = export(path, out, label(memory_store, {0: 64, 1: 31}))
+    after = laspy.read(out).classification
+    assert after[0] == laspy.read(path).classification[0]
+    assert after[1] == 31
+    assert record["notes"] == ["1 points keep their class: format 3 has classes 0 to 31"]
+
+
+def test_a_salvaged_file_says_how_many_points_it_has(
+    make_cloud: Any, memory_store: Any, tmp_path: Path
+) -> None:
+    for point_format, version in ((3, "1.2"), (6, "1.4")):
+        path = make_cloud("cut.las", point_format=point_format, version=version)
+        path.write_bytes(path.read_bytes()[:-100])
+        with pytest.raises(InputError):
+            export(path, tmp_path / "no.laz", [])
+        out = tmp_path / "cut.laz"
+        kept = export(path, out, [], salvage=True)["points"]
+        assert 990 < kept < 1000
+        assert laspy.read(out).header.point_count == kept == len(laspy.read(out))
+
+
+def test_the_same_bytes_each_time(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
+    path = make_cloud("a.laz", point_format=7, version="1.4")
+    cells = label(memory_store, dict.fromkeys(range(500), 2))
+    export(path, tmp_path / "1.laz", cells)
+    export(path, tmp_path / "2.laz", cells)
+    assert (tmp_path / "1.laz").read_bytes() == (tmp_path / "2.laz").read_bytes()
+
+
+def test_a_failure_leaves_no_file(
+    make_cloud: Any, memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ProcessingError, match="No space left"):
+        export(make_cloud("a.las"), tmp_path / "out" / "a.laz", [])
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("point_format", [9, 10])
+def test_wave_packets_of_several_channels_are_refused_not_damaged(
+    make_cloud: Any, memory_store: Any, tmp_path: Path, point_format: int
+) -> None:
+    def two_channels(cloud: laspy.LasData) -> None:
+        cloud.points.array["classification_flags"][::2] |= 0x10
+
+    path = make_cloud("w.las", point_format=point_format, version="1.4", edit=two_channels)
+    with pytest.raises(ProcessingError, match=r"scanner channels \[0, 1\]"):
+        export(path, tmp_path / "out" / "w.laz", [])
+    assert list((tmp_path / "out").iterdir()) == []

@@ -1,0 +1,98 @@
+"""A store with ground points, and its raster gridded in blocks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.points import PointBlock, pack_origin
+from tiler.core.raster import RasterSpec
+from tiler.grid.block import block_heights, grid_block
+from tiler.store import StoreMeta, TileStore, create_store
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A filled store, and the bounds of all its points."""
+
+    store: TileStore
+    data: Bounds
+
+    def grid(self, size: Fraction, block: int = 512, **options: Any) -> tuple[np.ndarray, list[dict]]:
+        """Heights of the raster of ``size`` counts a pixel, gridded block by block, and the records."""
+        spec = RasterSpec.covering(Lattice(size), self.data)
+        arguments = {
+            "spec": spec.to_json(), "data": self.data.to_json(), "labels": "final",
+            "max_edge": str(options.pop("max_edge", 100_000)), "halo": 0, **options,
+        }  # fmt: skip
+        heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
+        for b in spec.blocks(block):
+            part, record = block_heights(
+                self.store, {**arguments, "block": [b.row, b.col, b.height, b.width]}
+            )
+            heights[b.row : b.row + b.height, b.col : b.col + b.width] = part
+            records.append(record)
+        return heights, records
+
+    def grid_into_store(self, name: str, size: Fraction, **options: Any) -> RasterSpec:
+        """The same as a raster of the store, as a run makes it."""
+        spec = RasterSpec.covering(Lattice(size), self.data)
+        self.store.create_raster(name, spec.height, spec.width)
+        for b in spec.blocks(512):
+            arguments = {
+                "name": name, "spec": spec.to_json(), "data": self.data.to_json(), "labels": "final",
+                "max_edge": "100000", "halo": 10_000, "block": [b.row, b.col, b.height, b.width], **options,
+            }  # fmt: skip
+            record = grid_block(self.store.url, json.loads(json.dumps(arguments)))
+            json.dumps(record)
+        return spec
+
+
+@pytest.fixture
+def make_scene(tmp_path: Path) -> Callable[..., Scene]:
+    """Build a scene from absolute counts, int64 (n, 3)."""
+    made: list[Scene] = []
+
+    def make(
+        xyz: np.ndarray, labels: np.ndarray | None = None, flags: np.ndarray | None = None,
+        frame: CoordFrame | None = None, bucket: int = 40_000,
+    ) -> Scene:  # fmt: skip
+        frame = frame or CoordFrame()
+        labels = np.full(len(xyz), 2, np.uint8) if labels is None else labels
+        flags = np.zeros(len(xyz), np.uint8) if flags is None else flags
+        lattice = Lattice(Fraction(bucket))
+        meta = StoreMeta(frame=frame, bucket=lattice, fine=Lattice(Fraction(bucket, 40)), has_rgb=False)
+        store = create_store(str(tmp_path / f"s{len(made)}.zarr"), meta)
+        low, high = xyz[:, :2].min(0), xyz[:, :2].max(0) + 1
+        data = Bounds(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+        x, y = xyz[:, 0].astype(np.int64), xyz[:, 1].astype(np.int64)
+        local = np.stack((x - frame.origin[0], y - frame.origin[1], xyz[:, 2])).astype(np.int32)
+        inside = {
+            cell: np.flatnonzero((lattice.index(x) == cell.ix) & (lattice.index(y) == cell.iy))
+            for cell in lattice.cells(data)
+        }
+        inside = {cell: rows for cell, rows in inside.items() if len(rows)}
+        store.allocate({cell: len(rows) for cell, rows in inside.items()})
+        infos = {}
+        for cell, rows in inside.items():
+            block = PointBlock(
+                local[:, rows], np.ones(len(rows), np.uint8), flags[rows], np.ones((2, len(rows)), np.uint8),
+                None, pack_origin(0, rows.astype(np.int64)),
+            )  # fmt: skip
+            infos[cell] = store.write_bucket(cell, block, 0)
+        store.publish_index(infos)
+        for cell, rows in inside.items():
+            store.write_labels("final", cell, labels[rows])
+        made.append(Scene(store, data))
+        return made[-1]
+
+    return make

@@ -1,0 +1,183 @@
+"""Heights at pixel centres: true on planes, and the same whatever the blocks, halos and frames."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from tiler.core.classes import WITHHELD_FLAG
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Lattice
+from tiler.core.raster import NODATA, RasterSpec
+from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
+from tiler.errors import ProcessingError
+from tiler.grid.block import full_halo
+
+METRE = Fraction(1000)
+
+
+def scattered(n: int, side: int, seed: int = 3) -> np.ndarray:
+    """Points in a square of ``side`` counts, rough terrain."""
+    rng = np.random.default_rng(seed)
+    xy = rng.integers(0, side, (n, 2))
+    z = (
+        20_000
+        + 4_000 * np.sin(xy[:, 0] / 9_000)
+        + 3_000 * np.cos(xy[:, 1] / 7_000)
+        + rng.integers(-60, 60, n)
+    )
+    return np.column_stack((xy, np.round(z))).astype(np.int64)
+
+
+def plane_points(n: int, side: int, shift: tuple[int, int] = (0, 0)) -> np.ndarray:
+    """Points of z = 50 units + (x - x0) / 4 - (y - y0) / 8, a whole number of counts at each of them."""
+    xy = 8 * np.random.default_rng(5).integers(0, side // 8, (n, 2))
+    z = 50_000 + xy[:, 0] // 4 - xy[:, 1] // 8
+    return np.column_stack((xy + np.array(shift), z)).astype(np.int64)
+
+
+def void(xyz: np.ndarray) -> np.ndarray:
+    """A river of 45 m and a round hole."""
+    x, y = xyz[:, 0], xyz[:, 1]
+    return xyz[(np.abs(x - 70_000 - y // 5) > 22_000) & ((x - 25_000) ** 2 + (y - 95_000) ** 2 > 18_000**2)]
+
+
+def l_shape(xyz: np.ndarray) -> np.ndarray:
+    return xyz[(xyz[:, 0] < 70_000) | (xyz[:, 1] < 60_000)]
+
+
+def islands(xyz: np.ndarray) -> np.ndarray:
+    x, y = xyz[:, 0] % 70_000, xyz[:, 1] % 90_000
+    return xyz[(x - 30_000) ** 2 + (y - 30_000) ** 2 < 14_000**2]
+
+
+@pytest.mark.parametrize(
+    ("units", "shift", "size"),
+    [
+        (Units(), (0, 0), METRE),
+        (Units(), (637_000_003, 5_400_000_001), METRE),
+        (Units(), (-70_000_123, -30_000_456), Fraction(1000, 3)),
+        (Units(FOOT, FOOT), (2_100_000_000, 1_400_000_000), Fraction(3000)),
+        (
+            Units(US_SURVEY_FOOT, US_SURVEY_FOOT),
+            (2_100_000_000, 1_400_000_000),
+            METRE / (1000 * US_SURVEY_FOOT) * 1000,
+        ),
+        (Units(FOOT, FOOT), (2_100_000_000, 1_400_000_000), METRE / (1000 * FOOT) * 1000),
+    ],
+    ids=["metres", "far", "third", "3ft", "1m-in-usft", "1m-in-ft"],
+)
+def test_a_tilted_plane_is_exact_at_pixel_centres(make_scene, units, shift, size):
+    xyz = plane_points(4_000, 120_000, shift)
+    frame = CoordFrame(units, (shift[0] - 17, shift[1] + 50_000_003))
+    scene = make_scene(xyz, frame=frame)
+    heights, records = scene.grid(size)
+    spec = RasterSpec.covering(Lattice(size), scene.data)
+    x = np.array([float((spec.west + i + Fraction(1, 2)) * size - shift[0]) for i in range(spec.width)])
+    y = np.array([float((spec.north - i - Fraction(1, 2)) * size - shift[1]) for i in range(spec.height)])
+    truth = (50_000 + x[None, :] / 4 - y[:, None] / 8) / 1000
+    valid = heights != np.float32(NODATA)
+    assert valid.mean() > 0.9
+    assert np.abs(heights - truth)[valid].max() < 0.001 * min(1.0, float(units.vertical))
+    assert sum(r["marked"] for r in records) == 0
+    assert sum(r["filled"] for r in records) == int(valid.sum())
+
+
+@pytest.mark.parametrize("shape", [lambda p: p, void, l_shape, islands], ids=["full", "void", "l", "islands"])
+@pytest.mark.parametrize("max_edge", [12_000, 50_000])
+def test_blocks_do_not_show(make_scene, shape, max_edge):
+    scene = make_scene(shape(scattered(4_500, 140_000)))
+    whole, (record,) = scene.grid(METRE, max_edge=max_edge)
+    assert record["marked"] == 0
+    for block, halo in ((37, 0), (64, 9_000), (101, 400_000)):
+        tiled, records = scene.grid(METRE, block, max_edge=max_edge, halo=halo)
+        assert tiled.tobytes() == whole.tobytes()
+        assert sum(r["marked"] for r in records) == 0
+    assert 0 < np.count_nonzero(whole == np.float32(NODATA)) < whole.size
+
+
+def test_the_frame_does_not_show(make_scene):
+    xyz = void(scattered(4_000, 150_000)) + np.array([431_000_123, 5_300_000_777, 0])
+    one, _ = make_scene(xyz, frame=CoordFrame(origin=(431_000_000, 5_300_000_000))).grid(METRE)
+    two, _ = make_scene(xyz, frame=CoordFrame(origin=(430_123_457, 5_301_000_001))).grid(METRE, 40)
+    assert one.tobytes() == two.tobytes()
+
+
+def test_buckets_and_order_do_not_show(make_scene):
+    xyz = void(scattered(4_000, 150_000))
+    one, _ = make_scene(xyz).grid(METRE)
+    two, _ = make_scene(xyz[::-1], bucket=23_000).grid(METRE)
+    assert one.tobytes() == two.tobytes()
+
+
+def test_a_pixel_is_empty_where_the_facet_is_long(make_scene):
+    corners = np.array([[0, 0, 0], [40_000, 0, 0], [0, 40_000, 0], [40_000, 40_000, 0]])
+    scene = make_scene(corners)
+    filled, _ = scene.grid(METRE, max_edge=57_000)
+    empty, _ = scene.grid(METRE, max_edge=56_000)
+    assert np.all(filled[1:, :-1] == 0)  # 41 x 41 pixels; the last row and column lie outside of the hull
+    assert np.all(empty == np.float32(NODATA))
+
+
+@pytest.mark.parametrize("points", [[], [0], [0, 1], [0, 1, 2]], ids=["none", "one", "two", "collinear"])
+def test_no_facet_no_heights(make_scene, points):
+    xyz = np.array([[0, 0, 5], [5_000, 5_000, 5], [9_000, 9_000, 5]])
+    labels = np.ones(3, np.uint8)
+    labels[points] = 2
+    heights, (record,) = make_scene(xyz, labels).grid(METRE)
+    assert np.all(heights == np.float32(NODATA))
+    assert (record["filled"], record["ground_read"], record["marked"]) == (0, len(points), 0)
+
+
+def test_only_ground_counts_and_marks_are_carried(make_scene):
+    xyz = scattered(2_000, 60_000)
+    roof = xyz + np.array([1, 1, 30_000])
+    labels = np.repeat(np.array([2, 6], np.uint8), len(xyz))
+    labels[:7] |= 0x80
+    withheld = np.column_stack((xyz[:300, :2] + 3, np.full(300, -90_000)))
+    labels = np.append(labels, np.full(300, 2, np.uint8))
+    flags = np.zeros(len(labels), np.uint8)
+    flags[-300:] = WITHHELD_FLAG
+    heights, (record,) = make_scene(np.concatenate((xyz, roof, withheld)), labels, flags).grid(METRE)
+    assert record["ground_marked"] == 7
+    assert record["ground_read"] == len(xyz)
+    assert heights.max() < 30
+    assert np.all((heights > 0) | (heights == np.float32(NODATA)))
+
+
+def test_the_classes_of_the_input_are_trusted_for_keep(make_scene):
+    scene = make_scene(scattered(500, 30_000))
+    heights, (record,) = scene.grid(METRE, labels=None, classes=[1])
+    assert record["ground_read"] == 500
+    assert heights.max() > 0
+
+
+def test_a_small_halo_is_widened_until_nothing_is_marked(make_scene):
+    scene = make_scene(scattered(3_000, 200_000))
+    _, records = scene.grid(METRE, 64, max_edge=40_000)
+    assert max(r["tries"] for r in records) > 1
+    assert all(r["halo"] <= full_halo(Fraction(40_000)) for r in records)
+    _, capped = scene.grid(METRE, 64, max_edge=40_000, max_halo=1_000)
+    assert sum(r["marked"] for r in capped) > 0
+
+
+def test_thinning_does_not_show_blocks_and_keeps_a_plane(make_scene):
+    scene = make_scene(plane_points(60_000, 60_000))
+    cell = str(Fraction(250))
+    whole, (record,) = scene.grid(METRE, thin_cell=cell)
+    tiled, _ = scene.grid(METRE, 17, thin_cell=cell)
+    assert tiled.tobytes() == whole.tobytes()
+    assert record["ground_used"] < 0.75 * record["ground_read"]
+    spec = RasterSpec.covering(Lattice(METRE), scene.data)
+    x, y = (np.arange(spec.width) + 0.5) * 1000, (spec.north - np.arange(spec.height) - 0.5) * 1000
+    truth = (50_000 + x[None, :] / 4 - y[:, None] / 8) / 1000
+    valid = whole != np.float32(NODATA)
+    assert np.all(np.abs(whole - truth)[valid] < 0.001)
+
+
+def test_an_impossible_pixel_is_one_line(make_scene):
+    scene = make_scene(scattered(50, 90))
+    with pytest.raises(ProcessingError, match=r"block r0000000c0000000: .*; use a smaller max_edge"):
+        scene.grid(Fraction(100_003, 99_991))

@@ -1,0 +1,130 @@
+"""Both steps of ingest and the exporter, through a real store."""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Cell, Lattice
+from tiler.core.points import SOURCE_SHIFT
+from tiler.export.classified import write_classified
+from tiler.ingest import assemble_buckets, find_inputs, inspect, pieces, spool_piece
+from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
+
+FRAME = CoordFrame(origin=(500_000_000, 5_400_000_000))
+
+
+def ingest(
+    url: str, paths: list[Path], size: int = 400, bounds: Any = None
+) -> tuple[TileStore, list[dict[str, Any]], list[dict[str, Any]]]:
+    store = create_store(url, StoreMeta(FRAME, Lattice(Fraction(500_000)), Lattice(Fraction(5000)), True))
+    spooled = []
+    fragments: dict[tuple[int, int], list[Any]] = defaultdict(list)
+    for source, path in enumerate(paths):
+        for number, (start, count) in enumerate(pieces(inspect(path), size)):
+            piece = f"s{source:06d}p{number:06d}"
+            record = spool_piece(url, {"path": str(path), "source": source, "piece": piece, "start": start,
+                                       "count": count, "bounds": bounds})  # fmt: skip
+            spooled.append(record)
+            stops = list(itertools.accumulate(n for _, _, n in record["buckets"]))
+            for (ix, iy, n), stop in zip(record["buckets"], stops, strict=True):
+                fragments[ix, iy].append([piece, stop - n, stop])
+    store.allocate({Cell(*c): sum(b - a for _, a, b in f) for c, f in fragments.items()})
+    made = assemble_buckets(url, {"buckets": [[*c, f] for c, f in sorted(fragments.items())]})["buckets"]
+    store.publish_index({Cell(*r["cell"]): BucketInfo(r["n"], r["n_candidates"]) for r in made})
+    return store, spooled, made
+
+
+def content(store: TileStore) -> list[Any]:
+    """Everything but which source a point came from."""
+    columns = ("xyz", "classification", "flags", "returns")
+    found = []
+    for cell, info in store.buckets().items():
+        block = store.read_bucket(cell, columns=columns)
+        rows = np.concatenate(
+            [block.xyz, block.classification[np.newaxis], block.flags[np.newaxis], block.returns]
+        )
+        found.append(
+            (cell, info, sorted(map(tuple, rows.T.tolist())), rows[:3, : info.n_candidates].tolist())
+        )
+    return found
+
+
+@pytest.mark.parametrize("twin", ["b.laz", "a.laz"])
+def test_a_las_beside_its_laz_is_found_to_be_double(make_cloud: Any, tmp_path: Path, twin: str) -> None:
+    one, other = make_cloud("a.las"), make_cloud(twin)
+    store, spooled, made = ingest(str(tmp_path / "store.zarr"), find_inputs([str(one), str(other)]))
+    _, _, alone = ingest(str(tmp_path / "alone.zarr"), [one])
+    assert sum(r["stored"] for r in spooled) == sum(r["n"] for r in made) == 2000
+    assert sum(r["duplicates"]["between"] for r in made) == 1000
+    assert [r["n_candidates"] for r in made] == [r["n_candidates"] for r in alone]
+    assert len(content(store)) == len(made)
+
+
+def test_order_and_split_of_the_files_change_nothing(make_cloud: Any, tmp_path: Path) -> None:
+    whole = make_cloud("whole.las", n=900)
+    cloud = laspy.read(whole)
+    parts = []
+    for k, rows in enumerate((slice(600, 900), slice(0, 250), slice(250, 600))):
+        part = laspy.LasData(cloud.header, cloud.points[rows].copy())
+        part.write(tmp_path / f"part{k}.laz")
+        parts.append(tmp_path / f"part{k}.laz")
+    expected = content(ingest(str(tmp_path / "one.zarr"), [whole], size=10**6)[0])
+    for k, order in enumerate((parts, parts[::-1])):
+        assert content(ingest(str(tmp_path / f"{k}.zarr"), order, size=100)[0]) == expected
+
+
+def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: Path) -> None:
+    url = str(tmp_path / "store.zarr")
+    paths = [make_cloud("a.las", seed=1), make_cloud("b.laz", seed=2, point_format=7, version="1.4")]
+    limits = [498_500_000, 5_399_000_000, 501_500_000, 5_401_000_000]
+    store, spooled, _ = ingest(url, paths, bounds=limits)
+    stored = [set(), set()]
+    for cell in store.buckets():
+        origin = store.read_bucket(cell, columns=("origin",)).origin
+        assert origin is not None
+        rows = origin & ((1 << SOURCE_SHIFT) - 1)
+        store.write_labels("final", cell, (1 + rows % 2).astype(np.uint8) | 0x80)
+        for source in (0, 1):
+            stored[source] |= set(rows[origin >> SOURCE_SHIFT == source].tolist())
+    assert 0 < sum(r["dropped"].get("outside --bounds", 0) for r in spooled) == 2000 - sum(map(len, stored))
+    cells = [[c.ix, c.iy] for c in store.buckets()]
+    for source, path in enumerate(paths):
+        out = tmp_path / "out" / f"{source}.laz"
+        write_classified(
+            url, {"path": str(path), "source": source, "out": str(out), "labels": "final", "cells": cells}
+        )
+        before, after = laspy.read(path), laspy.read(out)
+        expected = np.asarray(before.classification).copy()
+        rows = np.array(sorted(stored[source]))
+        expected[rows] = 1 + rows % 2
+        np.testing.assert_array_equal(after.classification, expected)
+        np.testing.assert_array_equal(after.X, before.X)
+
+
+def test_odd_clouds_through_the_store(shared_data: Path, tmp_path: Path) -> None:
+    path = shared_data / "odd" / "simple.copc.laz"
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    store = create_store(
+        str(tmp_path / "s.zarr"),
+        StoreMeta(
+            CoordFrame(origin=(637_000_000, 851_000_000)),
+            Lattice(Fraction(10**6)),
+            Lattice(Fraction(1000)),
+            True,
+        ),
+    )
+    record = spool_piece(
+        store.url, {"path": str(path), "source": 0, "piece": "p", "start": 0, "count": 1065, "bounds": None}
+    )
+    assert record["stored"] == 1065
+    assert sum(n for _, _, n in store.piece_index("p")) == 1065

@@ -1,0 +1,174 @@
+"""One block of a raster: heights at pixel centres on the TIN of the ground points around it.
+
+The pixels depend on the data alone, not on the block or its halo: a facet fills a pixel only if its longest edge
+and its circumradius stay within a limit, so data farther than twice that limit have no say, and every pixel
+that closer data beyond the window could change is marked. A block with marks is done again with more halo.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.tin import Pixels, Raster, Tin, Window, rasterise
+from tiler.core.classes import GROUND, WITHHELD_FLAG
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.errors import ProcessingError
+from tiler.grid.ground import Ground, GroundRule, central_points, read_ground, whole_cells
+from tiler.store import TileStore, open_store
+
+
+def full_halo(max_edge: Fraction) -> int:
+    """Counts of halo with which no pixel of a block is ever marked, for a limit in counts.
+
+    A facet's circle reaches at most two radii from a pixel inside of it; the rest covers rounding.
+    """
+    return math.ceil(2 * max_edge * (1 + Fraction(1, 1 << 19))) + 4
+
+
+@dataclass(frozen=True)
+class _Job:
+    """The arguments of `grid_block`, read."""
+
+    spec: RasterSpec
+    block: Block
+    rule: GroundRule
+    data: Bounds
+    max_edge: Fraction
+    thin: Lattice | None
+
+
+def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write one block of a raster; a `tiler.schedule.task.Work`.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``name``: of the raster in the store. ``spec``: `RasterSpec` as JSON. ``block``: row, col, height, width,
+        aligned to the raster's chunks. ``data``: `Bounds` of all points of the run; there are no points beyond.
+        ``labels``: name of the pass that holds the final labels, None to trust the input's classes.
+        ``classes`` (default 2) and ``skip_flags`` (default withheld): see `GroundRule`.
+        ``max_edge``: counts, as a fraction in text; limit of a facet's longest edge and circumradius.
+        ``halo``, ``max_halo``: counts, to begin with and at most (default `full_halo`).
+        ``thin_cell``: counts, as a fraction in text, or None. Of the ground points of such a cell only the central
+        one is used. One value for the whole run, as another one is another surface.
+
+    Returns
+    -------
+    dict
+        ``pixels``, ``filled``, ``nodata``; ``marked`` (pixels that more data could change); ``tries``, ``halo``
+        (counts) of the last one, and its ``ground_read``, ``ground_used``, ``ground_marked`` points; ``checksum``.
+
+    Raises
+    ------
+    ProcessingError
+        The window is too wide for the TIN, or the resolution too odd a fraction of the CRS's unit.
+    """
+    store = open_store(store_url)
+    heights, record = block_heights(store, args)
+    store.write_block(args["name"], Block(*args["block"]), heights)
+    return {**record, "checksum": hashlib.blake2b(heights.tobytes(), digest_size=16).hexdigest()}
+
+
+def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+    """Heights of any block, and the record, but for the checksum; arguments as those of `grid_block`.
+
+    Returns
+    -------
+    heights : float32, shape (height, width)
+        Vertical units of the CRS, `NODATA` where there is none.
+    record : dict
+    """
+    job = _job(args)
+    bounds = job.spec.block_bounds(job.block)
+    max_halo = args.get("max_halo") or full_halo(job.max_edge)
+    halo = min(max(args["halo"], math.ceil(job.spec.lattice.size)), max_halo)
+    tries = 1
+    while True:
+        window = bounds.pad(halo)
+        ground, xyz = _ground(store, job, window)
+        raster = _rasterise(store, job, window, xyz)
+        marked = int(raster.marks.sum())
+        if marked == 0 or halo >= max_halo:
+            break
+        halo, tries = min(2 * halo, max_halo), tries + 1
+    heights = _heights(raster)
+    filled = int(np.count_nonzero(heights != np.float32(NODATA)))
+    return heights, {
+        "pixels": heights.size,
+        "filled": filled,
+        "nodata": heights.size - filled,
+        "marked": marked,
+        "tries": tries,
+        "halo": halo,
+        "ground_read": ground.xyz.shape[1],
+        "ground_used": xyz.shape[1],
+        "ground_marked": ground.marked,
+    }
+
+
+def _job(args: dict[str, Any]) -> _Job:
+    thin = args.get("thin_cell")
+    return _Job(
+        RasterSpec.from_json(args["spec"]),
+        Block(*args["block"]),
+        GroundRule(args["labels"], args.get("classes", (GROUND,)), args.get("skip_flags", WITHHELD_FLAG)),
+        Bounds.from_json(args["data"]),
+        Fraction(args["max_edge"]),
+        None if thin is None else Lattice(Fraction(thin)),
+    )
+
+
+def _ground(store: TileStore, job: _Job, window: Bounds) -> tuple[Ground, npt.NDArray[np.int32]]:
+    """Ground points read, and the coordinates of those in the window that make the TIN."""
+    if job.thin is None:
+        ground = read_ground(store, job.rule, window)
+        return ground, ground.xyz
+    # Cells that the window cuts are read whole, so that the choice in them is everybody's choice.
+    ground = read_ground(store, job.rule, whole_cells(window, job.thin))
+    origin = store.meta.frame.origin
+    xyz = ground.xyz[:, central_points(ground.xyz, origin, job.thin)]
+    x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
+    inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
+    return ground, xyz[:, inside]
+
+
+def _rasterise(store: TileStore, job: _Job, window: Bounds, xyz: npt.NDArray[np.int32]) -> Raster:
+    """Heights in counts, NaN where there are none, and marks of the block's pixels."""
+    east, north = store.meta.frame.origin
+    spec, block, limit = job.spec, job.block, float(job.max_edge)
+    try:
+        return rasterise(
+            Tin.build(xyz[0], xyz[1], xyz[2]),
+            Pixels(
+                spec.lattice.p, spec.lattice.q,
+                left=spec.west + block.col, top=spec.north - 1 - block.row, columns=block.width, rows=block.height,
+                origin_x=east, origin_y=north,
+            ),
+            max_edge=limit, max_radius=limit,
+            window=Window(
+                window.x0 - east, window.y0 - north, window.x1 - east, window.y1 - north,
+                open_west=window.x0 <= job.data.x0, open_south=window.y0 <= job.data.y0,
+                open_east=window.x1 >= job.data.x1, open_north=window.y1 >= job.data.y1,
+            ),
+        )  # fmt: skip
+    except ValueError as error:
+        raise ProcessingError(
+            f"block {block.name}: {error}; use a smaller max_edge or another resolution"
+        ) from error
+
+
+def _heights(raster: Raster) -> npt.NDArray[np.float32]:
+    """Heights in vertical units of the CRS, `NODATA` where there are none."""
+    heights = (raster.heights / COUNTS_PER_UNIT).astype(np.float32)
+    heights[np.isnan(raster.heights)] = NODATA
+    return heights

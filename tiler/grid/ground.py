@@ -1,0 +1,103 @@
+"""The ground points of a window, from the merged labels of all buckets that it touches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.classes import WITHHELD_FLAG
+from tiler.core.lattice import Bounds, Lattice
+from tiler.errors import StoreError
+from tiler.store import TileStore
+
+MARK_BIT = 0x80
+"""Of a label: the decision rests on something that data outside of the filter's window could change."""
+
+
+@dataclass(frozen=True)
+class GroundRule:
+    """Which points are ground.
+
+    Attributes
+    ----------
+    labels : str or None
+        Pass whose labels tell the class; None: the class that the input brought.
+    classes : sequence of int
+    skip_flags : int
+        Bits of `PointBlock.flags` that keep a point out; withheld points always stay out.
+    """
+
+    labels: str | None
+    classes: Sequence[int]
+    skip_flags: int = WITHHELD_FLAG
+
+
+@dataclass(frozen=True)
+class Ground:
+    """``xyz``: int32, shape (3, n), local counts; ``marked``: how many of them carry `MARK_BIT`."""
+
+    xyz: npt.NDArray[np.int32]
+    marked: int
+
+
+def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds) -> Ground:
+    """Ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order."""
+    is_ground = np.zeros(256, np.bool_)
+    for value in rule.classes:
+        is_ground[[value, value | MARK_BIT] if rule.labels is not None else [value]] = True
+    columns = ("xyz", "flags") if rule.labels is not None else ("xyz", "flags", "classification")
+    parts, marked, present = [np.empty((3, 0), np.int32)], 0, store.buckets()
+    for cell in store.meta.bucket.cells(bounds):
+        if cell not in present:
+            continue
+        block = store.read_bucket(cell, columns)
+        classes = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
+        if classes is None or block.flags is None:
+            raise StoreError(
+                f"{store.url}: bucket {cell.name} lacks its classes or flags; start anew with --overwrite"
+            )
+        chosen = is_ground[classes] & ((block.flags & (rule.skip_flags | WITHHELD_FLAG)) == 0)
+        chosen &= block.inside(bounds, store.meta.frame.origin)
+        parts.append(block.xyz[:, chosen])
+        if rule.labels is not None:
+            marked += int(np.count_nonzero(classes[chosen] & MARK_BIT))
+    return Ground(np.concatenate(parts, axis=1), marked)
+
+
+def whole_cells(bounds: Bounds, lattice: Lattice) -> Bounds:
+    """The counts of all cells that ``bounds`` touch."""
+    first = lattice.first
+    west, south = lattice.index_of(bounds.x0), lattice.index_of(bounds.y0)
+    east, north = lattice.index_of(bounds.x1 - 1) + 1, lattice.index_of(bounds.y1 - 1) + 1
+    return Bounds(first(west), first(south), first(east), first(north))
+
+
+def central_points(
+    xyz: npt.NDArray[np.int32], origin: tuple[int, int], lattice: Lattice
+) -> npt.NDArray[np.intp]:
+    """Indices of the point nearest to the centre of each cell; of equal ones the first by (x, y, z).
+
+    The nearest to the centre, not the lowest: the surface stays where it is on the mean.
+
+    Parameters
+    ----------
+    xyz : int32, shape (3, n)
+        Local counts; whole cells only, as the choice needs all points of a cell.
+    origin : tuple of int
+        Absolute counts of the local 0.
+    lattice : Lattice
+        Cells of at most 2**20 counts with a denominator of at most 2**9, so that squares fit int64.
+    """
+    x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
+    ix, iy = lattice.index(x), lattice.index(y)
+    # Twice the offset from the centre, in 1 / q counts: an integer.
+    dx = 2 * lattice.q * x - (2 * ix + 1) * lattice.p
+    dy = 2 * lattice.q * y - (2 * iy + 1) * lattice.p
+    order = np.lexsort((xyz[2], y, x, dx * dx + dy * dy, ix, iy))
+    ix, iy = ix[order], iy[order]
+    first = np.ones(len(order), np.bool_)
+    first[1:] = (ix[1:] != ix[:-1]) | (iy[1:] != iy[:-1])
+    return order[first]

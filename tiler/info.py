@@ -1,0 +1,222 @@
+"""What a cloud, a tile store, a result folder or a raster holds, as plain facts."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiler.core.units import unit_label
+from tiler.errors import InputError, StoreError
+
+_STEP = 1_000_000
+_CLOUDS = (".las", ".laz")
+_OCCUPANCY_CELLS = 1024
+"""Cells along the longer side of the raster that measures how much of the extent holds points."""
+
+
+def describe(path: str) -> dict[str, Any]:
+    """Say what is at a place.
+
+    Parameters
+    ----------
+    path : str
+        A LAS or LAZ file, a tile store (path or URL), a result folder of a run, or a raster.
+
+    Returns
+    -------
+    dict
+        JSON-able; ``kind`` is ``cloud``, ``store``, ``result`` or ``raster``. Coordinates are in units of the
+        CRS, densities in points per square metre.
+
+    Raises
+    ------
+    InputError
+        Nothing is there, or nothing that tiler knows.
+    StoreError
+        A store that this version did not write.
+    """
+    if "://" in path:
+        return describe_store(path)
+    place = Path(path)
+    if not place.exists():
+        raise InputError(f"{path}: no such file or folder; name a cloud, a store, a result folder or a raster")
+    if place.is_dir():
+        return _describe_folder(place)
+    return describe_cloud(place) if place.suffix.lower() in _CLOUDS else describe_raster(place)
+
+
+def _describe_folder(folder: Path) -> dict[str, Any]:
+    if (folder / "zarr.json").is_file():
+        return describe_store(str(folder))
+    if (folder / "run.json").is_file():
+        return describe_result(folder)
+    raise InputError(f"{folder}: neither a tile store nor a result folder; name a file in it, or OUT of a run")
+
+
+def describe_cloud(path: Path) -> dict[str, Any]:
+    """Facts of a LAS or LAZ file: its header as far as it is true, its units, density and classes."""
+    from tiler.ingest import inspect
+
+    info = inspect(path)
+    place = info.georeference
+    facts = {
+        "kind": "cloud",
+        "path": str(path),
+        "size_bytes": info.size,
+        "format": f"{'LAZ' if info.compressed else 'LAS'}{', COPC' if info.copc else ''}",
+        "las_version": info.version,
+        "point_format": info.point_format,
+        "points": info.points,
+        "bounds": list(info.bounds) if info.bounds else None,
+        "scales": list(info.scales),
+        "crs": place.name or "none",
+        "crs_kind": place.kind,
+        "horizontal_unit": unit_label(place.horizontal) if place.horizontal else "unknown",
+        "vertical_unit": unit_label(place.vertical) if place.vertical else "not declared",
+    }
+    metres = float(place.horizontal or 1)
+    return {**facts, **_point_facts(path, info.bounds, metres), "notes": list(info.notes)}
+
+
+def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) -> dict[str, Any]:
+    """Density, classes, returns and flags, from all points; one piece is in memory at a time."""
+    from tiler.core.classes import SYNTHETIC_FLAG, WITHHELD_FLAG
+    from tiler.las.columns import class_and_flags
+    from tiler.las.headers import read_header
+    from tiler.las.reader import NEEDED, PointReader
+
+    if bounds is None:
+        return {}
+    header = read_header(path)
+    classes, flagged = np.zeros(256, np.int64), np.zeros(256, np.int64)
+    x0, y0, _, x1, y1, _ = bounds
+    cell = max(x1 - x0, y1 - y0) / _OCCUPANCY_CELLS or 1.0
+    occupied = np.zeros((_OCCUPANCY_CELLS + 1, _OCCUPANCY_CELLS + 1), np.bool_)
+    with PointReader(header, NEEDED) as reader:
+        for start in range(0, header.point_count, _STEP):
+            records = reader.read(start, min(_STEP, header.point_count - start))
+            codes, flags = class_and_flags(records, header.point_format)
+            classes += np.bincount(codes, minlength=256)
+            flagged += np.bincount(flags, minlength=256)
+            x, y = (
+                records[axis] * header.scales[i] + header.offsets[i] for i, axis in enumerate("XY")
+            )
+            col, row = ((v - low) / cell for v, low in ((x, x0), (y, y0)))
+            inside = [np.clip(v, 0, _OCCUPANCY_CELLS).astype(np.intp) for v in (row, col)]
+            occupied[inside[0], inside[1]] = True
+    total = int(classes.sum())
+    # Cells finer than the points' spacing are mostly empty between them: the extent is then the better area.
+    area = min(float(occupied.sum()) * cell**2, (x1 - x0) * (y1 - y0)) * metres**2
+    sparse = total < 4 * int(occupied.sum())
+    area = (x1 - x0) * (y1 - y0) * metres**2 if sparse else area
+    bits = np.arange(256)
+    return {
+        "density_per_m2": total / area if area > 0 else None,
+        "classes": {str(c): int(n) for c, n in enumerate(classes) if n},
+        "withheld_points": int(flagged[(bits & WITHHELD_FLAG) > 0].sum()),
+        "synthetic_points": int(flagged[(bits & SYNTHETIC_FLAG) > 0].sum()),
+    }
+
+
+def describe_store(url: str) -> dict[str, Any]:
+    """Facts of a tile store: what it is about, and how far its run is."""
+    from tiler.store import open_store
+
+    store = open_store(url)
+    frame = store.meta.frame
+    buckets, usage = store.buckets(), store.usage()
+    return {
+        "kind": "store",
+        "url": url,
+        "size_bytes": usage.size_bytes,
+        "objects": usage.objects,
+        "crs": _crs_name(frame.crs_wkt),
+        "horizontal_unit": unit_label(frame.units.horizontal),
+        "vertical_unit": unit_label(frame.units.vertical),
+        "bucket_m": float(store.meta.bucket.size * frame.metres_xy),
+        "buckets": len(buckets),
+        "points": sum(info.n for info in buckets.values()),
+        "candidates": sum(info.n_candidates for info in buckets.values()),
+        "has_rgb": store.meta.has_rgb,
+    }
+
+
+def describe_result(folder: Path) -> dict[str, Any]:
+    """Facts of the OUT of a run: its run.json, and its store where it is still there."""
+    try:
+        run = json.loads((folder / "run.json").read_text("utf-8"))
+    except ValueError as error:
+        raise InputError(f"{folder / 'run.json'}: not valid JSON ({error}); run the same command again") from error
+    facts: dict[str, Any] = {"kind": "result", "path": str(folder), "run": run}
+    store = folder / "store.zarr"
+    if store.is_dir():
+        try:
+            facts["store"] = describe_store(str(store))
+        except StoreError as error:
+            facts["store"] = {"unreadable": str(error)}
+    return facts
+
+
+def describe_raster(path: Path) -> dict[str, Any]:
+    """Facts of a raster: place, units, and of its first band the heights, read block by block."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    try:
+        with rasterio.open(path) as raster:
+            return {
+                "kind": "raster",
+                "path": str(path),
+                "size_bytes": path.stat().st_size,
+                "driver": raster.driver,
+                "width": raster.width,
+                "height": raster.height,
+                "bands": raster.count,
+                "dtype": raster.dtypes[0],
+                "crs": _crs_name(raster.crs.to_wkt() if raster.crs else None),
+                "bounds": list(raster.bounds),
+                "pixel_size": list(raster.res),
+                "vertical_unit": raster.units[0],
+                "nodata": raster.nodata,
+                "overviews": raster.overviews(1),
+                "compression": raster.compression.value.lower() if raster.compression else "none",
+                "heights": _heights(raster),
+                "tags": dict(raster.tags()),
+            }
+    except RasterioError as error:
+        text = " ".join(str(error).split())
+        raise InputError(f"{path}: neither a cloud nor a raster that can be read ({text})") from error
+
+
+def _heights(raster: Any) -> dict[str, Any]:
+    """Statistics of the first band's valid pixels; one block is in memory at a time."""
+    count, total, squares, low, high = 0, 0.0, 0.0, math.inf, -math.inf
+    for _, window in raster.block_windows(1):
+        block = raster.read(1, window=window, masked=True)
+        values = block.compressed().astype(np.float64)
+        values = values[np.isfinite(values)]
+        if values.size:
+            count += values.size
+            total += float(values.sum())
+            squares += float((values**2).sum())
+            low, high = min(low, float(values.min())), max(high, float(values.max()))
+    pixels = raster.width * raster.height
+    if count == 0:
+        return {"valid": 0.0}
+    mean = total / count
+    deviation = math.sqrt(max(squares / count - mean**2, 0.0))
+    return {"valid": count / pixels, "minimum": low, "maximum": high, "mean": mean, "deviation": deviation}
+
+
+def _crs_name(wkt: str | None) -> str:
+    if wkt is None:
+        return "none"
+    from pyproj import CRS
+
+    crs = CRS.from_user_input(wkt)
+    code = crs.to_authority(min_confidence=100)
+    return f"{crs.name} ({':'.join(code)})" if code else crs.name

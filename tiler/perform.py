@@ -1,0 +1,35 @@
+"""What a worker does with a task: the work, then the commit; a failure is an outcome, not an exception."""
+
+from __future__ import annotations
+
+import gc
+import resource
+import sys
+import time
+import traceback
+
+from tiler.errors import TilerError
+from tiler.schedule import Outcome, Task
+from tiler.store import open_store
+
+
+def peak_rss_bytes() -> int:
+    """Largest resident memory of this process so far (kilobytes on Linux, bytes on macOS)."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def perform(store_url: str, task: Task) -> Outcome:
+    """Run a task and commit what it returns, so that it counts as done whatever becomes of the command."""
+    start = time.monotonic()
+    try:
+        record = task.work(store_url, task.arguments)
+        open_store(store_url).commit(task.stage, task.key, task.digest, record)
+    except TilerError as error:
+        return Outcome(task, None, str(error), type(error).__name__, time.monotonic() - start, peak_rss_bytes())
+    except Exception as error:  # noqa: BLE001 - whatever a task dies of is recorded, and the others go on
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        text = f"{type(error).__name__}: {error} ({where.filename.rsplit('/', 1)[-1]}:{where.lineno})"
+        gc.collect()
+        return Outcome(task, None, text, type(error).__name__, time.monotonic() - start, peak_rss_bytes())
+    return Outcome(task, record, None, None, time.monotonic() - start, peak_rss_bytes())

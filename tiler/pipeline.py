@@ -1,0 +1,427 @@
+"""The whole job, in order: plan, ingest (spool, assemble), filter, grid, export, run.json. Read this page first."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ptd.methods import METHODS
+from tiler import __version__
+from tiler.config import RunConfig
+from tiler.core.lattice import Cell
+from tiler.core.raster import NODATA, RasterSpec
+from tiler.errors import ConfigError, InputError, ProcessingError
+from tiler.ingest import SourceInfo
+from tiler.observe.events import Listener, silent
+from tiler.perform import peak_rss_bytes, perform
+from tiler.plan import GRID_BLOCK, KEEP, Plan, crs_name, make_plan
+from tiler.report import write_run_file
+from tiler.schedule import Executor, Outcome, Task, digest_of, make_executor
+from tiler.store import BucketInfo, TileStore, create_store, open_store, remove_store, store_exists
+from tiler.tasks import (
+    Assembled,
+    Source,
+    assemble_tasks,
+    classified_tasks,
+    cog_task,
+    fragments_of,
+    filter_tasks,
+    grid_tasks,
+    label_digests,
+    raster_spec,
+    spool_tasks,
+)
+
+STAGES = ("ingest", "filter", "grid", "export")
+LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
+HASH_PIECE = 1 << 22
+
+Commits = dict[str, tuple[str, dict[str, Any]]]
+
+
+@dataclass
+class RunResult:
+    """How a run ended.
+
+    Attributes
+    ----------
+    exit_code : int
+        0, or 5 if something was left out.
+    summary : dict
+        What ``run.json`` says.
+    did_nothing : bool
+        Everything had been done before.
+    """
+
+    exit_code: int
+    summary: dict[str, Any]
+    did_nothing: bool
+
+
+@dataclass
+class Job:
+    """A run at work: what the stages share."""
+
+    plan: Plan
+    out: Path
+    store: TileStore
+    listener: Listener
+    executor: Executor | None = None
+    computed: int = 0
+    stages: dict[str, dict[str, Any]] = field(default_factory=dict)
+    quarantined: list[dict[str, str]] = field(default_factory=list)
+    failed: list[dict[str, str]] = field(default_factory=list)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def note(self, text: str) -> None:
+        """Tell people what was decided for them."""
+        self.listener("note", {"text": text})
+
+    def perform(self, stage: str, tasks: Iterable[Task]) -> Commits:
+        """Do what is not done yet of a stage; commits of all its tasks that succeeded."""
+        wanted = {task.key: task for task in tasks}
+        done = {k: c for k, c in self.store.committed(stage).items() if k in wanted and c[0] == wanted[k].digest}
+        for stale in self.store.committed(stage).keys() - done.keys():
+            self.store.uncommit(stage, stale)
+        todo = [task for key, task in wanted.items() if key not in done]
+        info = {"stage": stage, "tasks": len(wanted), "done": len(done), "points": sum(t.points for t in todo)}
+        self.listener("stage_started", info)
+        start, cpu_peak = time.monotonic(), 0
+        if todo and self.executor is None:
+            self.executor = make_executor(self.plan.workers, self.plan.config.scheduler)
+        for outcome in self.executor.run(perform, self.store.url, todo) if todo and self.executor else ():
+            self._finished(outcome)
+            cpu_peak = max(cpu_peak, outcome.peak_rss_bytes)
+            if outcome.record is not None:
+                done[outcome.task.key] = (outcome.task.digest, outcome.record)
+        seconds = round(time.monotonic() - start, 3)
+        self.computed += len(todo)
+        self.stages[stage] = {**info, "computed": len(todo), "seconds": seconds, "peak_rss_bytes": cpu_peak}
+        self.listener("stage_finished", {"stage": stage, "seconds": seconds})
+        self.save("running")
+        return dict(sorted(done.items()))
+
+    def _finished(self, outcome: Outcome) -> None:
+        task = outcome.task
+        if outcome.record is not None:
+            self.listener(
+                "task_done",
+                {"stage": task.stage, "key": task.key, "points": task.points, "seconds": round(outcome.seconds, 3),
+                 "peak_rss_bytes": outcome.peak_rss_bytes},
+            )  # fmt: skip
+            return
+        failure = {"stage": task.stage, "key": task.key, "error": outcome.error or "", "kind": outcome.error_kind or ""}
+        self.listener("task_failed", dict(failure))
+        self.failed.append(failure)
+        if self.plan.config.on_error == "stop":
+            raise ProcessingError(f"{task.stage} {task.key}: {outcome.error}; --on-error skip goes on without it")
+
+    def save(self, state: str) -> dict[str, Any]:
+        """Write run.json and return its content."""
+        content = {
+            "state": state, "version": __version__, "configuration": self.plan.config.to_json(),
+            "plan": self.plan.to_json(), "libraries": {name: version(name) for name in LIBRARIES},
+            "stages": self.stages, "quarantined": self.quarantined, "failed_tasks": self.failed,
+            "peak_rss_bytes": max([peak_rss_bytes(), *(s["peak_rss_bytes"] for s in self.stages.values())]),
+            **self.facts,
+        }  # fmt: skip
+        write_run_file(self.out, content)
+        return content
+
+
+def run(
+    inputs: Sequence[str],
+    out: str | Path,
+    config: RunConfig | None = None,
+    listener: Listener = silent,
+    until: str = "export",
+) -> RunResult:
+    """Clouds to terrain; goes on with what ``out`` holds.
+
+    Parameters
+    ----------
+    inputs : sequence of str
+        Files, folders, globs.
+    out : path
+        Folder of the results, made if it is not there.
+    config : RunConfig
+    listener : callable
+        Told what happens, see `tiler.observe.events`.
+    until : str
+        Last stage to do: ``ingest``, ``filter``, ``grid`` or ``export``.
+
+    Raises
+    ------
+    TilerError
+        With the exit code of the command; nothing that was finished is lost.
+    """
+    if until not in STAGES:
+        raise ConfigError(f"no stage {until!r}; there are {', '.join(STAGES)}")
+    config, out = config or RunConfig(), Path(out)
+    started = time.monotonic()
+    plan = make_plan(inputs, config, out)
+    names = output_names(inputs, plan.sources)
+    _make_folder(out)
+    url = config.store or str(out / "store.zarr")
+    if config.overwrite:
+        remove_store(url)
+    plan, store = _frozen(plan, url)
+    for text in plan.notes:
+        listener("note", {"text": text})
+    for text in plan.warnings:
+        listener("warning", {"text": text})
+    with store.lock():
+        job = Job(plan, out, store, listener)
+        job.quarantined = [{"path": path, "error": error} for path, error in plan.unreadable]
+        try:
+            _stages(job, until, names)
+        except BaseException:
+            job.save("interrupted")
+            raise
+        finally:
+            if job.executor is not None:
+                job.executor.close()
+        job.facts["seconds"] = round(time.monotonic() - started, 3)
+        summary = job.save("done")
+    if config.clean_store and until == "export":
+        remove_store(url)
+    listener("run_finished", {"seconds": job.facts["seconds"]})
+    return RunResult(5 if job.quarantined or job.failed else 0, summary, job.computed == 0)
+
+
+def _stages(job: Job, until: str, names: dict[Path, Path]) -> None:
+    """The order of things."""
+    sources = _numbered(job)
+    spooled, sources = _spool(job, sources)
+    assembled = _assemble(job, spooled)
+    if until == "ingest":
+        return
+    labels = _filter(job, assembled)
+    if until == "filter":
+        return
+    spec, gridded = _grid(job, assembled, labels)
+    if until == "grid":
+        return
+    _export(job, spec, gridded, sources, spooled, labels, names)
+
+
+def _numbered(job: Job) -> list[Source]:
+    """Sources with a number that stays theirs in this store, and the digest of their bytes."""
+    known: dict[str, dict[str, Any]] = job.store.get_state("sources") or {}
+    sources = []
+    for info in job.plan.sources:
+        path = str(info.path.resolve())
+        entry = known.get(path, {"number": len(known)})
+        stamp = [info.size, info.mtime_ns, info.digest]
+        if entry.get("stamp") != stamp or job.plan.config.verify:
+            entry = {**entry, "stamp": stamp, "content": _content_digest(info.path)}
+        known[path] = entry
+        if info.points:
+            sources.append(Source(info, entry["number"], entry["content"]))
+    job.store.put_state("sources", known)
+    return sources
+
+
+def _content_digest(path: Path) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    try:
+        with open(path, "rb") as stream:
+            while part := stream.read(HASH_PIECE):
+                digest.update(part)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); see to the disk and its rights") from error
+    return digest.hexdigest()
+
+
+def _spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
+    """Decode; a source with a piece that failed is left out whole."""
+    spooled = job.perform("spool", spool_tasks(job.plan, sources))
+    bad = {f["key"][:7]: f["error"] for f in job.failed if f["stage"] == "spool"}
+    job.failed = [f for f in job.failed if f["stage"] != "spool"]
+    good = [s for s in sources if f"s{s.number:06d}" not in bad]
+    for source in sources:
+        error = bad.get(f"s{source.number:06d}")
+        if error is not None:
+            job.quarantined.append({"path": str(source.info.path), "error": error})
+            job.listener("warning", {"text": f"{source.info.path}: left out: {error}"})
+    spooled = {k: c for k, c in spooled.items() if k[:7] not in bad}
+    if not good:
+        raise InputError(f"no input could be read; the first: {job.quarantined[0]['error']}")
+    records = [record for _, record in spooled.values()]
+    dropped: Counter[str] = Counter()
+    for record in records:
+        dropped.update(record["dropped"])
+    read, stored = sum(r["read"] for r in records), sum(r["stored"] for r in records)
+    rounding = max(r["largest_rounding"] for r in records)
+    job.facts["counts"] = {"read": read, "stored": stored, "dropped": dict(dropped), "largest_rounding": rounding}
+    job.facts["inputs"] = [_input_facts(s, spooled) for s in sources]
+    if rounding > 0:
+        job.note(f"coordinates were rounded to counts for filtering, by {rounding:.3g} CRS units at most")
+    for reason, count in dropped.items():
+        job.note(f"{count:,} points dropped: {reason}")
+    if stored == 0:
+        raise InputError(f"all {read:,} points were dropped ({', '.join(dropped)}): nothing to make a terrain of")
+    return spooled, good
+
+
+def _input_facts(source: Source, spooled: Commits) -> dict[str, Any]:
+    prefix = f"s{source.number:06d}-"
+    return {
+        **source.info.to_json(), "content": source.content,
+        "stored": sum(r["stored"] for key, (_, r) in spooled.items() if key.startswith(prefix)),
+    }  # fmt: skip
+
+
+def _assemble(job: Job, spooled: Commits) -> Assembled:
+    """Points into buckets; tell of duplicates and of what takes no part."""
+    fragments = fragments_of(spooled)
+    job.store.allocate({cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()})
+    tasks = list(assemble_tasks(job.plan, spooled, fragments))
+    commits = job.perform("assemble", tasks)
+    assembled = Assembled.of(commits)
+    if len(commits) < len(tasks):
+        raise ProcessingError(f"{len(tasks) - len(commits)} buckets could not be written: {job.failed[-1]['error']}")
+    job.store.publish_index({c: BucketInfo(r["n"], r["n_candidates"]) for c, r in assembled.records.items()})
+    within = sum(r["duplicates"]["within"] for r in assembled.records.values())
+    between = sum(r["duplicates"]["between"] for r in assembled.records.values())
+    taking = sum(r["n_participating"] for r in assembled.records.values())
+    job.facts["counts"] |= {
+        "duplicates_within_files": within, "duplicates_between_files": between, "participating": taking,
+        "kept_out": job.facts["counts"]["stored"] - taking, "buckets": len(assembled.records),
+    }  # fmt: skip
+    if within or between:
+        job.note(f"duplicates take part once: {between:,} points of other files, {within:,} within files")
+    return assembled
+
+
+def _filter(job: Job, assembled: Assembled) -> dict[Cell, str]:
+    """Run the passes of the method; digests of the final labels by bucket."""
+    if job.plan.config.method == KEEP:
+        return assembled.digests
+    passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
+    state: dict[str, Any] = {}
+    filtered: Commits = {}
+    for number, step in enumerate(passes):
+        tasks = list(filter_tasks(job.plan, assembled, number, state))
+        filtered = job.perform(f"filter{number}", tasks)
+        if not filtered:
+            raise ProcessingError(f"no tile could be filtered; the first: {job.failed[0]['error']}")
+        state = step.reduce((record["partial"] for _, record in filtered.values()), state)
+        job.store.put_state(f"after-{step.name}", state)
+        job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
+    return label_digests(job.plan, assembled, filtered)
+
+
+def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:
+    def total(name: str) -> int:
+        return sum(r[name] for r in records)
+
+    names = ("points", "ground", "low_noise", "unclassified", "kept", "marked")
+    again = sum(r["tries"] > 1 for r in records)
+    facts: dict[str, Any] = {name: total(name) for name in names}
+    facts |= {"tiles": tiles, "tiles_done_again": again, "overlap_work": total("window_area") / max(total("core_area"), 1)}
+    if facts["marked"]:
+        job.note(f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them")
+    return facts
+
+
+def _grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> tuple[RasterSpec, Commits]:
+    """The terrain's raster, block by block."""
+    name, spec = "dtm", raster_spec(job.plan, assembled)
+    job.store.create_raster(name, spec.height, spec.width)
+    tasks = list(grid_tasks(job.plan, assembled, labels, name))
+    unused = job.store.committed(f"grid-{name}").keys() - {task.key for task in tasks}
+    for block in spec.blocks(GRID_BLOCK):
+        if block.name in unused:
+            job.store.write_block(name, block, np.full((block.height, block.width), NODATA, np.float32))
+    gridded = job.perform(f"grid-{name}", tasks)
+    if tasks and not gridded:
+        raise ProcessingError(f"no block could be gridded; the first: {job.failed[0]['error']}")
+    records = [record for _, record in gridded.values()]
+    job.facts["dtm"] = {
+        "width": spec.width, "height": spec.height, "resolution_m": float(job.plan.resolution),
+        **{k: sum(r[k] for r in records) for k in ("filled", "marked")},
+        "blocks": len(tasks), "blocks_done_again": sum(r["tries"] > 1 for r in records),
+        "thinned": any(task.arguments["thin_cell"] for task in tasks),
+    }  # fmt: skip
+    return spec, gridded
+
+
+def _export(job: Job, spec: RasterSpec, gridded: Commits, sources: list[Source], spooled: Commits, labels: dict[Cell, str], names: dict[Path, Path]) -> None:
+    """The files that people open."""
+    out = job.out.resolve()
+    digest = digest_of(sorted(source.content for source in sources))
+    tasks = [cog_task(job.plan, spec, gridded, digest, out, "dtm")]
+    if job.plan.config.method != KEEP:
+        tasks += classified_tasks(job.plan, sources, spooled, labels, names, out)
+    files = {t.key: Path(t.arguments["out"]) / t.key if t.key.endswith(".tif") else Path(t.arguments["out"]) for t in tasks}
+    for key, (_, record) in job.store.committed("export").items():
+        if key in files and not (files[key].exists() and files[key].stat().st_size == record["bytes"]):
+            job.store.uncommit("export", key)
+    exported = job.perform("export", tasks)
+    job.facts["outputs"] = {str(files[k].relative_to(out)): record["bytes"] for k, (_, record) in exported.items()}
+    for _, record in exported.values():
+        for text in record.get("notes", ()):
+            job.note(text)
+    if "dtm.tif" not in exported:
+        raise ProcessingError(f"dtm.tif could not be written: {job.failed[-1]['error']}")
+
+
+def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[Path, Path]:
+    """Path of each classified file below OUT/classified; ConfigError where two would be one."""
+    folders = [Path(i) for i in inputs if Path(i).is_dir()]
+    names: dict[Path, Path] = {}
+    taken: dict[str, Path] = {}
+    for source in sources:
+        below = [source.path.relative_to(f) for f in folders if source.path.is_relative_to(f)]
+        name = below[0] if below else Path(source.path.name)
+        stem = name.name[: -len(name.suffix)]
+        stem = stem.removesuffix(".copc") if source.copc else stem
+        name = name.with_name(f"{stem}.laz")
+        if str(name).lower() in taken:
+            raise ConfigError(
+                f"{source.path} and {taken[str(name).lower()]} would both become classified/{name}; "
+                "rename one, or run on a folder that holds both in different places"
+            )
+        taken[str(name).lower()] = source.path
+        names[source.path] = name
+    return names
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"-o {out}: cannot be made ({error.strerror}); name a folder that can be written") from error
+
+
+def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
+    """The store, and the plan with what the store's first run settled: frame, buckets, tile size, resolution."""
+    if not store_exists(url):
+        store = create_store(url, plan.meta)
+        store.put_state("settled", {"tile": str(plan.tile), "resolution": str(plan.resolution)})
+        return plan, store
+    store = open_store(url)
+    old, new = store.meta, plan.meta
+    if (old.frame.crs_wkt, old.frame.units) != (new.frame.crs_wkt, new.frame.units):
+        raise ConfigError(
+            f"{url}: holds points in {crs_name(old.frame.crs_wkt)}, the inputs are in {crs_name(new.frame.crs_wkt)}; "
+            "use --overwrite or another -o"
+        )
+    if new.has_rgb and not old.has_rgb:
+        raise ConfigError(f"{url}: was made without colours, the inputs have some; use --overwrite or another -o")
+    settled = store.get_state("settled") or {}
+    config = plan.config
+    tile = config.tile_size or Fraction(settled.get("tile", str(plan.tile)))
+    resolution = config.resolution or Fraction(settled.get("resolution", str(plan.resolution)))
+    return dataclasses.replace(plan, meta=old, tile=tile, resolution=resolution), store

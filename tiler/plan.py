@@ -1,0 +1,332 @@
+"""The plan: everything that can be decided or refused before the first point is read."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from ptd.methods import METHODS, make_params
+from ptd.params import to_json
+from tiler.config import RunConfig
+from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.units import unit_label
+from tiler.errors import ConfigError, InputError
+from tiler.ingest import SourceInfo, agree, bounds_in_counts, find_inputs, inspect
+from tiler.store import StoreMeta
+
+KEEP = "keep"
+"""The method that trusts the classes of the input."""
+
+FINE_CELL_M = Fraction(1, 2)
+BUCKET_POINTS = 100_000
+BUCKETS_M = (8, 16, 32, 64, 128)
+TILE_M = 512
+GRID_BLOCK = 512
+GRID_HALO_M = 50
+MAX_HALO_FACTOR = 4
+BASE_BYTES = 330 << 20
+"""Of a worker before the first point: the interpreter and the libraries."""
+CANDIDATE_BYTES = 260
+"""Of a candidate in a window: columns, sorting, its share of the TIN."""
+BUCKET_POINT_BYTES = 200
+"""Of a point while its bucket is assembled or labelled."""
+PIECE_POINTS = 1_000_000
+GROUND_BYTES = 150
+"""Of a ground point in a block's window: coordinates and the TIN."""
+STORED_BYTES = 24
+"""Of a point on disk in the store, spool included, compressed; measured on a city."""
+WIDEST_RELIEF_M = 9000
+SECONDS_PER_MILLION = 3.5
+"""CPU seconds a million points from LAZ to COG and LAZ; measured on a city, other machines differ."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run will do; lengths in metres, sizes in bytes.
+
+    Attributes
+    ----------
+    sources : tuple of SourceInfo
+        That can be read, in the order of their names; with `unreadable` all that were named.
+    unreadable : tuple of (str, str)
+        Path and reason of each file that is left out.
+    """
+
+    config: RunConfig
+    sources: tuple[SourceInfo, ...]
+    unreadable: tuple[tuple[str, str], ...]
+    meta: StoreMeta
+    limits: Bounds | None
+    parameters: dict[str, Any]
+    resolution: Fraction
+    tile: Fraction
+    halo_m: float
+    memory: int
+    workers: int
+    passes: int
+    points: int
+    area_m2: float
+    extent: Bounds
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def density(self) -> float:
+        """Points per square metre of the sources' bounds."""
+        return self.points / self.area_m2 if self.area_m2 else 0.0
+
+    @property
+    def overlap(self) -> float:
+        """Padded area over core area of a filter tile."""
+        return float(((self.tile + 2 * Fraction(self.halo_m)) / self.tile) ** 2)
+
+    @property
+    def tiles(self) -> int:
+        """Filter tiles, if the sources' bounds were filled."""
+        return max(math.ceil(self.area_m2 / float(self.tile) ** 2), 1)
+
+    def projected_memory(self) -> dict[str, int]:
+        """Peak bytes of a worker by stage."""
+        fine = min(self.density, 1.0 / float(self.meta.fine.size * self.meta.frame.metres_xy) ** 2)
+        window = (float(self.tile) + 2 * self.halo_m) ** 2
+        bucket = self.density * float(self.meta.bucket.size * self.meta.frame.metres_xy) ** 2
+        block = (GRID_BLOCK * float(self.resolution) + 2 * GRID_HALO_M) ** 2
+        return {
+            "ingest": int(BASE_BYTES + max(PIECE_POINTS * 160, bucket * BUCKET_POINT_BYTES * 4)),
+            "filter": int(BASE_BYTES + fine * window * CANDIDATE_BYTES + bucket * BUCKET_POINT_BYTES),
+            "grid": int(BASE_BYTES + min(self.density * block, self.points) * GROUND_BYTES),
+        }
+
+    def projected_disk(self) -> int:
+        """Bytes of store, rasters (three copies while the COG is made) and classified clouds."""
+        metres = float(self.meta.frame.metres_xy)
+        pixels = self.extent.area() * metres**2 / float(self.resolution) ** 2
+        return int(self.points * STORED_BYTES + 3 * 4 * pixels + 1.2 * sum(s.size for s in self.sources))
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything as plain values."""
+        frame = self.meta.frame
+        return {
+            "inputs": len(self.sources), "unreadable": [list(u) for u in self.unreadable], "points": self.points,
+            "area_m2": self.area_m2, "density_per_m2": self.density, "crs": frame.crs_wkt,
+            "units": {"horizontal": unit_label(frame.units.horizontal), "vertical": unit_label(frame.units.vertical)},
+            "method": self.config.method, "parameters": self.parameters, "passes": self.passes,
+            "resolution_m": float(self.resolution), "tile_m": float(self.tile), "halo_m": self.halo_m,
+            "tiles": self.tiles, "overlap_work": self.overlap, "workers": self.workers, "memory_bytes": self.memory,
+            "projected_memory_bytes": self.projected_memory(), "projected_disk_bytes": self.projected_disk(),
+            "projected_seconds": self.points / 1e6 * SECONDS_PER_MILLION / self.workers,
+            "notes": list(self.notes), "warnings": list(self.warnings),
+        }  # fmt: skip
+
+    def lines(self) -> list[str]:
+        """The plan as people read it."""
+        frame, memory = self.meta.frame, self.projected_memory()
+        worst = max(memory, key=lambda k: memory[k])
+        metres = float(frame.metres_xy)
+        west, south = self.extent.x0 / COUNTS_PER_UNIT, self.extent.y0 / COUNTS_PER_UNIT
+        wide, high = (self.extent.x1 - self.extent.x0) * metres, (self.extent.y1 - self.extent.y0) * metres
+        return [
+            f"inputs      {len(self.sources)} files, {self.points:,} points, {self.density:.3g} per m2",
+            f"extent      {wide:,.0f} x {high:,.0f} m from ({west:,.1f}, {south:,.1f})",
+            f"CRS         {crs_name(frame.crs_wkt)}; x, y in {unit_label(frame.units.horizontal)}, "
+            f"z in {unit_label(frame.units.vertical)}",
+            f"method      {self.config.method}" + (f", {self.passes} pass" if self.passes else "")
+            + ("" if self.passes <= 1 else "es"),
+            f"DTM         {float(self.resolution):g} m pixels, nodata beyond facets of {float(self.config.max_edge):g} m",
+            f"tiles       about {self.tiles} of {float(self.tile):g} m with {self.halo_m:g} m of halo, "
+            f"overlap work {self.overlap:.2f}",
+            f"memory      {memory[worst] / 2**20:,.0f} MiB a worker at most ({worst}), "
+            f"{self.memory / 2**20:,.0f} MiB allowed, {self.workers} workers",
+            f"disk        about {self.projected_disk() / 1e9:.2f} GB",
+            f"time        about {self.points / 1e6 * SECONDS_PER_MILLION / self.workers:,.0f} s, plus start-up",
+            *(f"note        {text}" for text in self.notes),
+            *(f"warning     {text}" for text in self.warnings),
+            *(f"left out    {path}: {reason}" for path, reason in self.unreadable),
+        ]  # fmt: skip
+
+
+def crs_name(wkt: str | None) -> str:
+    """The name of a CRS for people."""
+    if wkt is None:
+        return "unknown"
+    return wkt.split('"', 2)[1] if '"' in wkt else wkt
+
+
+def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None) -> Plan:
+    """Read the headers, settle CRS, units, method, sizes, and refuse what cannot work.
+
+    Parameters
+    ----------
+    inputs : sequence of str
+        Files, folders, globs.
+    config : RunConfig
+    out : Path, optional
+        The run's folder: not searched for inputs, and its disk is checked.
+
+    Raises
+    ------
+    ConfigError
+        Settings that cannot work: method, parameters, memory, disk.
+    InputError
+        No readable input, or a CRS that cannot be used.
+    """
+    parameters, defaults = _method(config)
+    notes: list[str] = []
+    paths = find_inputs(inputs, () if out is None else (out,), notes.append)
+    sources, unreadable = _inspect_all(paths, config)
+    agreement = agree(sources, config)
+    notes += agreement.notes
+    filled = [s for s in sources if s.points and s.bounds is not None]
+    notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
+    if not filled:
+        raise InputError(f"{len(sources)} readable inputs hold no point: nothing to make a terrain of")
+    limits = None if config.bounds is None else bounds_in_counts(config.bounds)
+    extent, area = _extent(filled, float(agreement.units.horizontal))
+    frame = CoordFrame(agreement.units, _origin(extent), agreement.wkt)
+    points = sum(s.points for s in filled)
+    density = points / area
+    meta = StoreMeta(
+        frame=frame, bucket=Lattice(frame.counts(Fraction(_bucket_m(density)))),
+        fine=Lattice(frame.counts(FINE_CELL_M)), has_rgb=any(s.has_rgb for s in filled),
+    )  # fmt: skip
+    memory = config.memory or min(1 << 30, psutil.virtual_memory().total // (4 * (psutil.cpu_count() or 1)))
+    halo = float(config.halo) if config.halo is not None else defaults.halo_m if defaults else 0.0
+    tile = config.tile_size or _tile(memory, min(density, float(1 / FINE_CELL_M**2)), halo, meta)
+    warnings = _warnings(filled, agreement.units, tile, halo)
+    plan = Plan(
+        config, tuple(sources), tuple(unreadable), meta, limits, parameters,
+        _resolution(config, density, notes), tile, halo, memory, config.workers or psutil.cpu_count() or 1,
+        len(defaults.passes) if defaults else 0, points, area, limits or extent, tuple(notes), tuple(warnings),
+    )  # fmt: skip
+    _refuse(plan, out)
+    return plan
+
+
+def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
+    """Parameters as plain values, and their dataclass; ({}, None) for `keep`."""
+    if config.method == KEEP:
+        if config.parameters:
+            raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters")
+        return {}, None
+    if config.method not in METHODS:
+        raise ConfigError(f"--method {config.method}: there is {', '.join([*METHODS, KEEP])}")
+    try:
+        params = make_params(config.method, dict(config.parameters))
+    except ValueError as error:
+        raise ConfigError(f"--set {error} (method {config.method})") from error
+    return to_json(params), params
+
+
+def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
+    sources: list[SourceInfo] = []
+    unreadable: list[tuple[str, str]] = []
+    for path in paths:
+        try:
+            sources.append(inspect(path, config.salvage))
+        except InputError as error:
+            if config.on_error == "stop" or len(paths) == 1:
+                raise
+            unreadable.append((str(path), str(error)))
+    if not sources:
+        raise InputError(f"none of {len(paths)} inputs can be read; the first: {unreadable[0][1]}")
+    return sources, unreadable
+
+
+def _extent(sources: Sequence[SourceInfo], metres: float) -> tuple[Bounds, float]:
+    """Union of the sources' bounds in absolute counts, and the area that they cover in m2 (overlaps count twice)."""
+    area = 0.0
+    union: Bounds | None = None
+    for source in sources:
+        assert source.bounds is not None  # the caller's choice
+        x0, y0, _, x1, y1, _ = source.bounds
+        area += max(x1 - x0, 1.0) * max(y1 - y0, 1.0) * metres**2
+        low, high = (math.floor(v * COUNTS_PER_UNIT) for v in (x0, y0)), (math.ceil(v * COUNTS_PER_UNIT) for v in (x1, y1))
+        bounds = Bounds(*low, *(v + 1 for v in high))
+        union = bounds if union is None else union.union(bounds)
+    assert union is not None  # at least one source
+    return union, area
+
+
+def _origin(extent: Bounds) -> tuple[int, int]:
+    """The middle of the extent, on a round number: int32 counts then reach equally far to all sides."""
+    step = 1000 * COUNTS_PER_UNIT
+    return (extent.x0 + extent.x1) // 2 // step * step, (extent.y0 + extent.y1) // 2 // step * step
+
+
+def _bucket_m(density: float) -> int:
+    """Side of a bucket in metres that holds about `BUCKET_POINTS`."""
+    side = math.sqrt(BUCKET_POINTS / density)
+    return min(BUCKETS_M, key=lambda b: abs(math.log(b / side)))
+
+
+def _tile(memory: int, density: float, halo_m: float, meta: StoreMeta) -> Fraction:
+    """Largest tile, at most `TILE_M`, whose window uses half of the memory that is left after start-up."""
+    budget = max(memory - BASE_BYTES, memory // 4) / 2
+    side = math.sqrt(budget / CANDIDATE_BYTES / density) - 2 * halo_m
+    bucket = meta.bucket.size * meta.frame.metres_xy
+    return max(min(Fraction(TILE_M), Fraction(max(side, 0.0))) // bucket, 1) * bucket
+
+
+def _resolution(config: RunConfig, density: float, notes: list[str]) -> Fraction:
+    """1 m, or the mean spacing of the points where that is coarser."""
+    if config.resolution is not None:
+        return config.resolution
+    spacing = 1 / math.sqrt(density)
+    if spacing <= 1.05:
+        return Fraction(1)
+    resolution = Fraction(math.ceil(2 * spacing), 2)
+    notes.append(f"resolution {float(resolution):g} m: the points are {spacing:.2g} m apart; --resolution overrides")
+    return resolution
+
+
+def _warnings(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo: float) -> list[str]:
+    found = []
+    z = [s.bounds for s in sources if s.bounds is not None]
+    relief = (max(b[5] for b in z) - min(b[2] for b in z)) * float(units.vertical)
+    if relief > WIDEST_RELIEF_M:
+        found.append(
+            f"heights span {relief:,.0f} m, more than any terrain: noise far from the ground, or z is in another unit; --units h,v"
+        )
+    for source in sources:
+        assert source.bounds is not None  # the caller's choice
+        x0, y0, z0, x1, y1, z1 = source.bounds
+        side = max(min(x1 - x0, y1 - y0), 1.0) * float(units.horizontal)
+        rise = (z1 - z0) * float(units.vertical)
+        if side > 50 and rise > 2 * side:
+            found.append(f"{source.path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v")
+    overlap = float(((tile + 2 * Fraction(halo)) / tile) ** 2)
+    if overlap > 2:
+        found.append(
+            f"tiles of {float(tile):g} m with {halo:g} m of halo do {overlap:.1f} times the work; use --tile-size {4 * halo:g} or more --memory"
+        )
+    return found
+
+
+def _refuse(plan: Plan, out: Path | None) -> None:
+    """Settings that would fail on the way."""
+    memory = plan.projected_memory()
+    worst = max(memory, key=lambda k: memory[k])
+    if memory[worst] > plan.memory:
+        smaller = float(plan.meta.bucket.size * plan.meta.frame.metres_xy)
+        raise ConfigError(
+            f"{worst} needs {memory[worst] / 2**20:,.0f} MiB a worker, {plan.memory / 2**20:,.0f} MiB are allowed; "
+            f"use --memory {memory[worst] // 2**20 + 1}MiB" + (f" or --tile-size {smaller:g}" if worst == "filter" else "")
+        )
+    if plan.extent.empty:
+        raise ConfigError("--bounds: holds no place")
+    if out is not None and plan.config.store is None:
+        existing = next(p for p in (out, *out.resolve().parents) if p.exists())
+        free = shutil.disk_usage(existing).free
+        if plan.projected_disk() > free:
+            raise ConfigError(
+                f"{out}: needs about {plan.projected_disk() / 1e9:.1f} GB, {free / 1e9:.1f} GB are free; "
+                "free some or use --store on another disk"
+            )

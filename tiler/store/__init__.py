@@ -1,0 +1,24 @@
+"""The tile store: a zarr 3 container with one writer per chunk, points once, and the halo as a view.
+
+The only place that knows zarr, paths, dtypes, chunks and the schema version.
+"""
+
+from __future__ import annotations
+
+from tiler.store.index import BucketInfo
+from tiler.store.lock import Lease
+from tiler.store.meta import StoreMeta
+from tiler.store.storage import Usage
+from tiler.store.store import TileStore, create_store, open_store, remove_store, store_exists
+
+__all__ = [
+    "BucketInfo",
+    "Lease",
+    "StoreMeta",
+    "TileStore",
+    "Usage",
+    "create_store",
+    "open_store",
+    "remove_store",
+    "store_exists",
+]

@@ -1,0 +1,164 @@
+"""The bucket index: which rows of the columns belong to which bucket, and how many points they hold."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.errors import StoreError
+from tiler.store import layout
+from tiler.store.storage import Storage
+
+_IX, _IY, _ROW, _ROWS, _N, _CANDIDATES = range(6)
+UNPUBLISHED = -1
+
+
+@dataclass(frozen=True)
+class BucketInfo:
+    """What a bucket holds: ``n`` points, the first ``n_candidates`` of which are candidates."""
+
+    n: int
+    n_candidates: int
+
+
+@dataclass(frozen=True)
+class Bucket:
+    """A bucket and its place: rows ``row`` to ``row + rows - 1``; ``info`` is None until it is published."""
+
+    cell: Cell
+    row: int
+    rows: int
+    info: BucketInfo | None
+
+
+class BucketIndex:
+    """An immutable table of buckets, sorted by (iy, ix); a new state of the store is a new table.
+
+    Parameters
+    ----------
+    table : int64, shape (k, 6)
+        Columns ix, iy, first row, rows, points, candidates (-1 where the bucket is not published).
+    """
+
+    def __init__(self, table: npt.NDArray[np.int64]) -> None:
+        self._table = table[np.lexsort((table[:, _IX], table[:, _IY]))]
+        self._place: dict[tuple[int, int], int] | None = None
+
+    @classmethod
+    def empty(cls) -> BucketIndex:
+        """The index of a new store."""
+        return cls(np.empty((0, 6), dtype=np.int64))
+
+    @property
+    def rows(self) -> int:
+        """Rows that the columns need."""
+        return int((self._table[:, _ROW] + self._table[:, _ROWS]).max(initial=0))
+
+    def find(self, cell: Cell) -> Bucket | None:
+        """The bucket of a cell; None where no rows were allocated."""
+        if self._place is None:
+            cells = zip(self._table[:, _IX].tolist(), self._table[:, _IY].tolist(), strict=True)
+            self._place = {key: i for i, key in enumerate(cells)}
+        i = self._place.get((cell.ix, cell.iy))
+        return None if i is None else _bucket(self._table[i].tolist())
+
+    def published(self) -> Iterator[Bucket]:
+        """All published buckets, row by row from the south-west."""
+        for line in self._table[self._table[:, _N] >= 0].tolist():
+            yield _bucket(line)
+
+    def overlapping(self, lattice: Lattice, bounds: Bounds) -> list[Bucket]:
+        """The published buckets that hold counts of ``bounds``, row by row from the south-west."""
+        if bounds.empty:
+            return []
+        ix, iy = self._table[:, _IX], self._table[:, _IY]
+        hit = (ix >= lattice.index_of(bounds.x0)) & (ix <= lattice.index_of(bounds.x1 - 1))
+        hit &= (iy >= lattice.index_of(bounds.y0)) & (iy <= lattice.index_of(bounds.y1 - 1))
+        hit &= self._table[:, _N] >= 0
+        return [_bucket(line) for line in self._table[hit].tolist()]
+
+    def allocated(self, counts: Mapping[Cell, int], row_points: int) -> tuple[BucketIndex, list[Bucket]]:
+        """An index with rows for ``counts``, and the buckets that moved away from their rows.
+
+        A bucket whose rows suffice keeps them and what is known of it. One that outgrew them gets new ones at
+        the end and is unpublished; so does a new one. Neighbours get neighbouring rows.
+        """
+        row = self.rows
+        lines = {(line[_IX], line[_IY]): line for line in self._table.tolist()}
+        moved = []
+        for cell in sorted(counts, key=lambda c: (c.iy, c.ix)):
+            needed = -(-counts[cell] // row_points)
+            old = lines.get((cell.ix, cell.iy))
+            if old is not None and old[_ROWS] >= needed:
+                continue
+            if old is not None and old[_ROWS] > 0:
+                moved.append(_bucket(old))
+            lines[cell.ix, cell.iy] = [cell.ix, cell.iy, row, needed, UNPUBLISHED, UNPUBLISHED]
+            row += needed
+        return BucketIndex(np.array(list(lines.values()), dtype=np.int64).reshape(-1, 6)), moved
+
+    def with_infos(self, infos: Mapping[Cell, BucketInfo], row_points: int) -> BucketIndex:
+        """An index in which exactly the buckets of ``infos`` are published; StoreError where one has no rows for it."""
+        table = self._table.copy()
+        table[:, _N:] = UNPUBLISHED
+        place = {(line[_IX], line[_IY]): i for i, line in enumerate(table.tolist())}
+        for cell, info in infos.items():
+            i = place.get((cell.ix, cell.iy))
+            if i is None or not 0 <= info.n_candidates <= info.n <= table[i, _ROWS] * row_points:
+                raise StoreError(
+                    f"bucket {cell.name}: {info.n} points do not fit what was allocated; allocate first"
+                )
+            table[i, _N:] = info.n, info.n_candidates
+        return BucketIndex(table)
+
+    def publish(self, storage: Storage) -> str:
+        """Write the index and make it the current one; its digest."""
+        stream = io.BytesIO()
+        np.save(stream, self._table, allow_pickle=False)
+        data = stream.getvalue()
+        digest = _digest(data)
+        before = storage.get_json(layout.INDEX_POINTER)
+        storage.put(layout.index_key(digest), data)
+        storage.put_json(layout.INDEX_POINTER, digest)
+        if before is not None and before != digest:
+            storage.delete(layout.index_key(before))
+        return digest
+
+
+def current_index(storage: Storage) -> BucketIndex:
+    """The index that was published last (kept by the process while it stays the same)."""
+    for _ in range(5):
+        digest = storage.get_json(layout.INDEX_POINTER)
+        if digest is None:
+            return BucketIndex.empty()
+        index = _loaded(storage, digest)
+        if index is not None:
+            return index
+        _loaded.cache_clear()  # replaced between the two reads: look again
+    raise StoreError(f"{storage.url}: its bucket index is missing; run again with --overwrite")
+
+
+@lru_cache(maxsize=4)
+def _loaded(storage: Storage, digest: str) -> BucketIndex | None:
+    data = storage.get(layout.index_key(digest))
+    if data is None:
+        return None
+    if _digest(data) != digest:
+        raise StoreError(f"{storage.url}: its bucket index is damaged; run again with --overwrite")
+    return BucketIndex(np.load(io.BytesIO(data), allow_pickle=False))
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
+
+
+def _bucket(line: list[int]) -> Bucket:
+    info = None if line[_N] < 0 else BucketInfo(line[_N], line[_CANDIDATES])
+    return Bucket(Cell(line[_IX], line[_IY]), line[_ROW], line[_ROWS], info)

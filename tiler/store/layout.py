@@ -1,0 +1,180 @@
+"""The layout of a store: the only file that knows paths, dtypes, chunks, codecs and the schema version.
+
+::
+
+    zarr.json                      root group; its attributes hold the schema version and the `StoreMeta`
+    points/<column>                chunk-owned columns (rows, width, ROW_POINTS): a bucket owns whole rows
+    index/<digest>.npy             which rows belong to which bucket, and how many points they hold
+    index/current.json             which index is the current one
+    labels/<name>                  uint8, rows as in points
+    rasters/<name>                 float32 (height, width)
+    spool/<piece>                  records of one source piece, sorted by bucket
+    commits/<stage>/<key>.json     one finished task
+    packs/<stage>.json             finished tasks, packed into one object
+    state/<name>.json              state of the run
+    lock.json                      lease of the run that holds the store
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tiler.errors import StoreError
+
+SCHEMA_VERSION = 1
+ROOT_ATTRIBUTE = "tiler_store"
+
+ROW_POINTS = 131072
+"""Points in a row of the columns: one chunk, one object. Measured: see DESIGN.md, "Store layout"."""
+
+RASTER_CHUNK = 512
+SPOOL_CHUNK = 65536
+
+LOCK_KEY = "lock.json"
+INDEX_POINTER = "index/current.json"
+ALLOWED_CODECS = frozenset({"bytes", "blosc", "crc32c"})
+
+
+@dataclass(frozen=True)
+class ArrayKind:
+    """How arrays of one kind are stored.
+
+    Attributes
+    ----------
+    dtype : str
+        Name of the numpy dtype; little-endian on disk.
+    chunks : tuple of int
+    fill : float
+        Value of what was never written.
+    sparse : bool
+        Chunks that hold nothing but `fill` are not stored. Where it is False, each chunk that should be
+        there is there, so that a missing one is an error and no silent zeros.
+    item : int
+        Bytes that the shuffle treats as one item.
+    """
+
+    dtype: str
+    chunks: tuple[int, ...]
+    fill: float = 0
+    sparse: bool = False
+    item: int = 0
+
+    @property
+    def shuffled(self) -> int:
+        """Bytes of one item for the shuffle."""
+        return self.item or np.dtype(self.dtype).itemsize
+
+
+@dataclass(frozen=True)
+class Column:
+    """A stored column: fields of `PointBlock` side by side.
+
+    Attributes
+    ----------
+    name : str
+    fields : mapping of str to slice
+        Which of the `width` parts hold which field.
+    width : int
+    kind : ArrayKind
+    """
+
+    name: str
+    fields: Mapping[str, slice]
+    width: int
+    kind: ArrayKind
+
+
+def _column(name: str, dtype: str, **widths: int) -> Column:
+    ends = np.cumsum(list(widths.values()))
+    parts = {f: slice(int(end) - w, int(end)) for (f, w), end in zip(widths.items(), ends, strict=True)}
+    width = int(ends[-1])
+    return Column(name, parts, width, ArrayKind(dtype, (1, width, ROW_POINTS)))
+
+
+# The four bytes that say what a point is share a column: they are read together, and a column is an object.
+COLUMNS = (
+    _column("xyz", "int32", xyz=3),
+    _column("attributes", "uint8", classification=1, flags=1, returns=2),
+    _column("rgb", "uint16", rgb=3),
+    _column("origin", "int64", origin=1),
+)
+LABELS = ArrayKind("uint8", (1, 1, ROW_POINTS))
+
+
+def columns(has_rgb: bool) -> tuple[Column, ...]:
+    """The columns of a store."""
+    return tuple(c for c in COLUMNS if has_rgb or c.name != "rgb")
+
+
+def raster_kind(fill: float) -> ArrayKind:
+    """Rasters: chunks of one block; a block that holds no data is not stored."""
+    return ArrayKind("float32", (RASTER_CHUNK, RASTER_CHUNK), fill, sparse=True)
+
+
+def record_type(has_rgb: bool) -> np.dtype[np.void]:
+    """One point of the spool."""
+    names: list[tuple[str, Any] | tuple[str, Any, int]] = [
+        ("xyz", "<i4", 3), ("classification", "u1"), ("flags", "u1"), ("returns", "u1", 2), ("origin", "<i8"),
+    ]  # fmt: skip
+    return np.dtype([*names, ("rgb", "<u2", 3)] if has_rgb else names)
+
+
+def spool_kind(has_rgb: bool) -> ArrayKind:
+    """Pieces of the spool: bytes of whole records, shuffled as such."""
+    size = record_type(has_rgb).itemsize
+    return ArrayKind("uint8", (SPOOL_CHUNK, size), item=size)
+
+
+def points_path(column: str) -> str:
+    """Path of a column."""
+    return f"points/{column}"
+
+
+def labels_path(name: str) -> str:
+    """Path of the labels of a pass."""
+    return f"labels/{safe(name)}"
+
+
+def raster_path(name: str) -> str:
+    """Path of a raster."""
+    return f"rasters/{safe(name)}"
+
+
+def spool_path(piece: str) -> str:
+    """Path of a piece of the spool."""
+    return f"spool/{safe(piece)}"
+
+
+def index_key(digest: str) -> str:
+    """Key of a bucket index."""
+    return f"index/{digest}.npy"
+
+
+def commit_key(stage: str, key: str) -> str:
+    """Key of a finished task."""
+    return f"commits/{safe(stage)}/{safe(key)}.json"
+
+
+def pack_key(stage: str) -> str:
+    """Key of the packed commits of a stage."""
+    return f"packs/{safe(stage)}.json"
+
+
+def state_key(name: str) -> str:
+    """Key of a piece of run state."""
+    return f"state/{safe(name)}.json"
+
+
+_SAFE = re.compile(r"[A-Za-z0-9_+=-][A-Za-z0-9._+=-]{0,199}")
+
+
+def safe(name: str) -> str:
+    """The name itself if it can be a part of a path everywhere; StoreError otherwise."""
+    if _SAFE.fullmatch(name) is None:
+        raise StoreError(f"{name!r} cannot name an object of a store: use letters, digits and . _ + = -")
+    return name

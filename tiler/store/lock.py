@@ -1,0 +1,122 @@
+"""One run per store: a lease, renewed while the run lives."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import psutil
+
+from tiler.errors import LockedError, StoreError, TilerError
+from tiler.store.layout import LOCK_KEY
+from tiler.store.storage import Storage
+
+LEASE_SECONDS = 120.0
+RENEW_SECONDS = 20.0
+SETTLE_SECONDS = 0.5
+"""Object stores cannot write exclusively through fsspec: the last of two writers holds the lease after this time."""
+
+
+class Lease:
+    """The lock while it is held; `check` before anything that only its holder may do."""
+
+    def __init__(self, storage: Storage) -> None:
+        self._storage = storage
+        self._token = uuid.uuid4().hex
+        self._stop = threading.Event()
+        self._since = time.time()
+
+    def check(self) -> None:
+        """Raise LockedError if another run took the store over, as after a long sleep of this machine."""
+        holder = _holder(self._storage)
+        if holder is None or holder["token"] != self._token:
+            raise self._refused(holder)
+
+    def _refused(self, holder: dict[str, Any] | None) -> LockedError:
+        return LockedError(f"{self._storage.url}: in use by {_name(holder)}; wait for it, or stop it")
+
+    def _body(self) -> dict[str, Any]:
+        process = psutil.Process()
+        return {
+            "token": self._token, "host": socket.gethostname(), "pid": process.pid, "started": process.create_time(),
+            "since": self._since, "renewed": time.time(),
+        }  # fmt: skip
+
+    def _renew(self) -> None:
+        while not self._stop.wait(RENEW_SECONDS):
+            try:
+                self.check()
+                self._storage.put_json(LOCK_KEY, self._body())
+            except LockedError:
+                return  # the holder's own `check` says so
+            except (TilerError, OSError):
+                continue  # a passing fault of the storage: the lease outlives some of them
+
+    def _acquire(self) -> None:
+        holder = _holder(self._storage)
+        taken_over = holder is not None
+        if holder is not None:
+            if not _stale(holder):
+                raise self._refused(holder)
+            self._storage.delete(LOCK_KEY)
+        self._storage.put_json_new(LOCK_KEY, self._body())
+        if taken_over or self._storage.root is None:
+            time.sleep(SETTLE_SECONDS)
+        self.check()
+
+    def _release(self) -> None:
+        self._stop.set()
+        holder = _holder(self._storage)
+        if holder is not None and holder["token"] == self._token:
+            self._storage.delete(LOCK_KEY)
+
+
+@contextmanager
+def locked(storage: Storage) -> Iterator[Lease]:
+    """Hold the store; raises LockedError, naming the holder, while another run does.
+
+    A lease whose process is gone from this host, or that was not renewed for `LEASE_SECONDS`, is taken over.
+    """
+    lease = Lease(storage)
+    lease._acquire()
+    renewing = threading.Thread(target=lease._renew, name="tiler-lease", daemon=True)
+    renewing.start()
+    try:
+        yield lease
+    finally:
+        lease._stop.set()
+        renewing.join()
+        lease._release()
+
+
+def _holder(storage: Storage) -> dict[str, Any] | None:
+    try:
+        holder: dict[str, Any] | None = storage.get_json(LOCK_KEY)
+    except StoreError:
+        return {"token": "", "host": "?", "pid": 0, "started": 0.0, "since": 0.0, "renewed": 0.0}
+    return holder
+
+
+def _stale(holder: dict[str, Any]) -> bool:
+    if time.time() - holder["renewed"] > LEASE_SECONDS:
+        return True
+    if holder["host"] != socket.gethostname():
+        return False
+    try:
+        # A number alone may have gone to another process since.
+        started: float = psutil.Process(holder["pid"]).create_time()
+        return abs(started - float(holder["started"])) > 2.0
+    except psutil.NoSuchProcess:
+        return True
+
+
+def _name(holder: dict[str, Any] | None) -> str:
+    if holder is None:
+        return "somebody who deleted the lease"
+    since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(holder["since"]))
+    return f"process {holder['pid']} on {holder['host']} since {since}"

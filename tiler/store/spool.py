@@ -1,0 +1,73 @@
+"""The spool: points between decoding and their buckets, one array of whole records per source piece."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.points import PointBlock
+from tiler.errors import StoreError
+from tiler.store import arrays, layout
+from tiler.store.storage import Storage
+
+Index = list[tuple[int, int, int]]
+"""Runs of points, in order: bucket column, bucket row, count."""
+
+
+def write_piece(
+    storage: Storage, piece: str, block: PointBlock, index: Sequence[tuple[int, int, int]], has_rgb: bool
+) -> None:
+    """Write a piece, replacing what an earlier attempt left.
+
+    Raises
+    ------
+    StoreError
+        ``index`` does not count the points, or a column is missing.
+    """
+    if sum(count for _, _, count in index) != len(block):
+        raise StoreError(f"piece {piece}: its index does not count its {len(block)} points")
+    records = np.zeros(len(block), dtype=layout.record_type(has_rgb))
+    for name in records.dtype.names or ():
+        column = getattr(block, name)
+        if column is None:
+            raise StoreError(f"piece {piece}: needs a column {name}")
+        records[name] = column.T
+    path = layout.spool_path(piece)
+    storage.delete_folder(path)
+    kind = layout.spool_kind(has_rgb)
+    # A piece of no points still has an array, with its index, so that it reads like any other.
+    shape = (len(block), records.dtype.itemsize)
+    attributes = {"index": [[int(v) for v in run] for run in index]}
+    array = arrays.create_array(storage, path, shape, kind, attributes)
+    if len(block):
+        arrays.write(storage, array, slice(None), records.view(np.uint8).reshape(shape))
+
+
+def piece_index(storage: Storage, piece: str, has_rgb: bool) -> Index:
+    """The index that the piece was written with."""
+    runs: Any = _open(storage, piece, has_rgb).attrs["index"]
+    return [(int(ix), int(iy), int(count)) for ix, iy, count in runs]
+
+
+def read_fragment(storage: Storage, piece: str, start: int, stop: int, has_rgb: bool) -> PointBlock:
+    """Points ``start`` to ``stop - 1`` of a piece; reads only the chunks that hold them."""
+    array = _open(storage, piece, has_rgb)
+    if not 0 <= start <= stop <= array.shape[0]:
+        raise StoreError(f"piece {piece}: has {array.shape[0]} points, not {start} to {stop}")
+    data: npt.NDArray[np.uint8] = np.ascontiguousarray(arrays.read(storage, array, slice(start, stop)))
+    records = data.reshape(-1).view(layout.record_type(has_rgb))
+    return PointBlock(
+        **{
+            f.name: np.ascontiguousarray(records[f.name].T)
+            for f in fields(PointBlock)
+            if f.name in (records.dtype.names or ())
+        }
+    )
+
+
+def _open(storage: Storage, piece: str, has_rgb: bool) -> arrays.ZarrArray:
+    return arrays.open_array(storage, layout.spool_path(piece), layout.spool_kind(has_rgb))

@@ -1,0 +1,207 @@
+"""Where a store lies: bytes under keys, on a local path or at any fsspec URL, through zarr's own stores.
+
+Every `put` is atomic (a rename on local disks, one PUT on object stores): a reader sees the old object, the new
+one, or none.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import os
+import shutil
+import zlib
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import zarr
+from zarr.abc.store import Store
+from zarr.core.buffer import default_buffer_prototype
+from zarr.core.sync import sync
+from zarr.storage import FsspecStore, LocalStore
+
+from tiler.errors import ConfigError, ProcessingError, StoreError
+
+# Parallelism is over processes: one thread decodes here. The requests of one read still overlap, which is
+# what an object store needs and what costs nothing on a local disk.
+zarr.config.set({"async.concurrency": 8, "threading.max_workers": 1})
+
+_REQUESTS_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class Usage:
+    """Objects in a store, and their bytes."""
+
+    objects: int
+    size_bytes: int
+
+
+def local_path(url: str) -> Path | None:
+    """The folder that a URL means; None where it is not on a local file system."""
+    if url.startswith(("file://", "local://")):
+        return Path(url.partition("://")[2])
+    return None if "://" in url or "::" in url else Path(url)
+
+
+class Storage:
+    """The objects of one store, by key; blocking calls, safe to use from several processes.
+
+    Parameters
+    ----------
+    url : str
+        A local path, or any URL that fsspec opens (``s3://bucket/name``, ``memory://name``).
+
+    Raises
+    ------
+    ConfigError
+        No file system is known, or installed, for the URL.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+        self.root = local_path(url)
+        self.zarr_store: Store
+        if self.root is not None:
+            self.zarr_store = LocalStore(self.root)
+        else:
+            try:
+                self.zarr_store = FsspecStore.from_url(url)
+            except (ImportError, ValueError) as error:
+                raise ConfigError(
+                    f"{url}: cannot be opened ({error}); give a local path, or install 'tiler-dtm[cloud]'"
+                ) from error
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Storage) and other.url == self.url
+
+    def __hash__(self) -> int:
+        return hash(self.url)
+
+    def get(self, key: str) -> bytes | None:
+        """The object's bytes; None where there is none."""
+        return self.get_many([key])[0]
+
+    def get_many(self, keys: Sequence[str]) -> list[bytes | None]:
+        """The bytes of each key in order, None where there is none; requests overlap."""
+        prototype = default_buffer_prototype()
+        gate = asyncio.Semaphore(_REQUESTS_AT_ONCE)
+
+        async def one(key: str) -> bytes | None:
+            async with gate:
+                buffer = await self.zarr_store.get(key, prototype)
+            return None if buffer is None else buffer.to_bytes()
+
+        async def every() -> list[bytes | None]:
+            return await asyncio.gather(*map(one, keys))
+
+        return sync(every()) if self.exists() else [None] * len(keys)
+
+    def put(self, key: str, data: bytes) -> None:
+        """Write an object, replacing what was there."""
+        try:
+            sync(self.zarr_store.set(key, default_buffer_prototype().buffer.from_bytes(data)))
+        except OSError as error:
+            raise failed_write(self.url, key, error) from error
+
+    def put_new(self, key: str, data: bytes) -> None:
+        """Write an object unless one is there; a later `get` says which it is.
+
+        Exclusive on local file systems; elsewhere the last of two writers wins.
+        """
+        try:
+            sync(self.zarr_store.set_if_not_exists(key, default_buffer_prototype().buffer.from_bytes(data)))
+        except OSError as error:
+            raise failed_write(self.url, key, error) from error
+
+    def delete(self, key: str) -> None:
+        """Remove an object if it is there."""
+        if self.exists():
+            sync(self.zarr_store.delete(key))
+
+    def delete_folder(self, prefix: str) -> None:
+        """Remove every object below ``prefix``."""
+        if self.exists():
+            sync(self.zarr_store.delete_dir(prefix))
+
+    def delete_everything(self) -> None:
+        """Remove every object, and the folder of a local store."""
+        if self.root is not None:
+            shutil.rmtree(self.root, ignore_errors=False)
+        else:
+            sync(self.zarr_store.clear())
+
+    def names(self, prefix: str) -> list[str]:
+        """Sorted names of the objects and folders directly below ``prefix``."""
+        if not self.exists():
+            return []
+        return sorted(name.rstrip("/") for name in sync(_collected(self.zarr_store.list_dir(prefix))))
+
+    def exists(self) -> bool:
+        """Whether a local folder is there; always true elsewhere, where folders do not exist.
+
+        Zarr's local store makes its folder when it is first asked anything: a look must not.
+        """
+        return self.root is None or self.root.is_dir()
+
+    def usage(self) -> Usage:
+        """Count the objects and their bytes (lists the whole store)."""
+        from fsspec.core import url_to_fs
+
+        filesystem, path = url_to_fs(str(self.root.absolute()) if self.root is not None else self.url)
+        sizes = (
+            [entry["size"] for entry in filesystem.find(path, detail=True).values()] if self.exists() else []
+        )
+        return Usage(len(sizes), sum(sizes))
+
+    def put_json(self, key: str, body: Any) -> None:
+        """Write a JSON-able value with the checksum of its text."""
+        self.put(key, _sealed(body))
+
+    def put_json_new(self, key: str, body: Any) -> None:
+        """`put_json` by way of `put_new`."""
+        self.put_new(key, _sealed(body))
+
+    def get_json(self, key: str) -> Any:
+        """The value that `put_json` wrote; None where there is none; StoreError where it is damaged."""
+        data = self.get(key)
+        return None if data is None else parse_json(data, f"{self.url}: {key}")
+
+
+def parse_json(data: bytes, where: str) -> Any:
+    """The value in an object of `Storage.put_json`; StoreError where it is damaged."""
+    try:
+        envelope = json.loads(data)
+        body, crc = envelope["body"], envelope["crc32"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise StoreError(f"{where}: damaged, no valid JSON; delete it and run again") from error
+    if zlib.crc32(_canonical(body).encode()) != crc:
+        raise StoreError(f"{where}: damaged, its checksum does not fit; delete it and run again")
+    return body
+
+
+def failed_write(url: str, key: str, error: OSError) -> ProcessingError:
+    """The one-line error of a write that the file system refused."""
+    remedy = (
+        "free some space and run again"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT)
+        else "check it and run again"
+    )
+    reason = os.strerror(error.errno) if error.errno else str(error)
+    return ProcessingError(f"{url}: cannot write {key}: {reason}; {remedy}")
+
+
+def _sealed(body: Any) -> bytes:
+    text = _canonical(body)
+    return f'{{"crc32": {zlib.crc32(text.encode())}, "body": {text}}}'.encode()
+
+
+def _canonical(body: Any) -> str:
+    return json.dumps(body, sort_keys=True, separators=(",", ":"))
+
+
+async def _collected(items: AsyncIterator[str]) -> list[str]:
+    return [item async for item in items]

@@ -1,0 +1,326 @@
+"""The tile store: points once, each in its bucket; halos, labels, rasters and what is done."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import zarr
+
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.points import PointBlock
+from tiler.core.raster import NODATA, Block
+from tiler.errors import ConfigError, StoreError
+from tiler.store import arrays, commits, index, layout, lock, points, rasters, spool
+from tiler.store.index import Bucket, BucketIndex, BucketInfo
+from tiler.store.meta import StoreMeta
+from tiler.store.storage import Storage, Usage, failed_write
+
+
+class TileStore:
+    """A store that is open; made by `create_store` or `open_store`.
+
+    All calls block and may come from several processes at once, as long as each bucket, block, piece and
+    commit has one writer. Methods marked *coordinator* are for the one process that holds the `lock`.
+
+    Attributes
+    ----------
+    url : str
+    meta : StoreMeta
+    """
+
+    def __init__(self, storage: Storage, meta: StoreMeta) -> None:
+        self.url = storage.url
+        self.meta = meta
+        self._storage = storage
+        self._points = points.PointColumns(storage, meta.has_rgb)
+        self._index: BucketIndex | None = None
+        self._labels: dict[str, arrays.ZarrArray] = {}
+        self._rasters: dict[str, arrays.ZarrArray] = {}
+
+    # --- commits and state
+
+    def commit(self, stage: str, key: str, digest: str, record: Mapping[str, Any]) -> None:
+        """Say, after its data are written, that a task is done."""
+        commits.commit(self._storage, stage, key, digest, record)
+
+    def committed(self, stage: str) -> commits.Commits:
+        """Key -> (digest, record) of every finished task of a stage; damaged commits count as none."""
+        return commits.committed(self._storage, stage)
+
+    def compact(self, stage: str) -> None:
+        """Pack the commits of a finished stage into one object (*coordinator*)."""
+        commits.compact(self._storage, stage)
+
+    def uncommit(self, stage: str, key: str) -> None:
+        """Take back that a task is done (*coordinator*)."""
+        commits.uncommit(self._storage, stage, key)
+
+    def clear(self, stage: str) -> None:
+        """Take back everything that a stage has done (*coordinator*)."""
+        commits.clear(self._storage, stage)
+
+    def put_state(self, name: str, value: Any) -> None:
+        """Keep a JSON-able value under a name (*coordinator*)."""
+        commits.put_state(self._storage, name, value)
+
+    def get_state(self, name: str) -> Any:
+        """The value kept under a name; None where there is none."""
+        return commits.get_state(self._storage, name)
+
+    # --- spool
+
+    def write_piece(self, piece: str, block: PointBlock, index: Sequence[tuple[int, int, int]]) -> None:
+        """Write the points of a source piece, sorted by bucket; ``index`` has (ix, iy, count) of each run."""
+        spool.write_piece(self._storage, piece, block, index, self.meta.has_rgb)
+
+    def piece_index(self, piece: str) -> spool.Index:
+        """The index that a piece was written with."""
+        return spool.piece_index(self._storage, piece, self.meta.has_rgb)
+
+    def read_fragment(self, piece: str, start: int, stop: int) -> PointBlock:
+        """Points ``start`` to ``stop - 1`` of a piece, all columns."""
+        return spool.read_fragment(self._storage, piece, start, stop, self.meta.has_rgb)
+
+    def drop_spool(self) -> None:
+        """Remove the spool (*coordinator*)."""
+        self._storage.delete_folder("spool")
+
+    # --- buckets
+
+    def allocate(self, counts: Mapping[Cell, int]) -> None:
+        """Give rows to buckets (*coordinator*, while no task runs).
+
+        Parameters
+        ----------
+        counts : mapping of Cell to int
+            Upper bound of the points of each bucket. A bucket whose rows suffice keeps them and its points; one
+            that outgrew them loses its points and has to be written again. Others stay as they are.
+        """
+        before = index.current_index(self._storage)
+        after, moved = before.allocated(counts, layout.ROW_POINTS)
+        self._points.grow(after.rows)
+        for name in self._storage.names("labels"):
+            if name != "zarr.json":
+                shape = (after.rows, 1, layout.ROW_POINTS)
+                points.lengthen(self._storage, layout.labels_path(name), layout.LABELS, shape)
+                for bucket in moved:
+                    points.delete_rows(self._storage, layout.labels_path(name), bucket)
+        after.publish(self._storage)
+        for bucket in moved:
+            self._points.delete_rows(bucket)
+        self._labels.clear()
+        self._index = after
+
+    def write_bucket(self, cell: Cell, block: PointBlock, n_candidates: int) -> BucketInfo:
+        """Write all points of a bucket, the candidates first; the record of it goes to `publish_index`.
+
+        Raises
+        ------
+        StoreError
+            The bucket was not allocated or has no room for the points, or a point lies outside it.
+        """
+        bucket = self._bucket(cell)
+        if len(block) > bucket.rows * layout.ROW_POINTS or not 0 <= n_candidates <= len(block):
+            raise StoreError(
+                f"bucket {cell.name}: {len(block)} points, {n_candidates} of them candidates, "
+                f"do not fit {bucket.rows} rows; allocate first"
+            )
+        if len(block) and not block.inside(self.meta.bucket.bounds(cell), self.meta.frame.origin).all():
+            raise StoreError(f"bucket {cell.name}: a point lies outside the bucket")
+        self._points.write(bucket, block)
+        return BucketInfo(len(block), n_candidates)
+
+    def publish_index(self, infos: Mapping[Cell, BucketInfo]) -> None:
+        """Make exactly these buckets readable (*coordinator*, once all of them are written)."""
+        published = index.current_index(self._storage).with_infos(infos, layout.ROW_POINTS)
+        published.publish(self._storage)
+        self._index = published
+
+    def read_bucket(
+        self, cell: Cell, columns: Sequence[str] = ("xyz",), candidates_only: bool = False
+    ) -> PointBlock:
+        """The points of a bucket in stored order; StoreError where it is not published or damaged."""
+        bucket = self._bucket(cell)
+        n = _count(bucket, candidates_only)
+        return self._points.read(points.parts_of(bucket, n), columns)
+
+    def buckets(self) -> dict[Cell, BucketInfo]:
+        """The published buckets, row by row from the south-west."""
+        self.refresh()
+        return {b.cell: b.info for b in self._current().published() if b.info is not None}
+
+    def window(
+        self, bounds: Bounds, columns: Sequence[str] = ("xyz",), candidates_only: bool = False
+    ) -> PointBlock:
+        """All points of ``bounds``, each once: the halo view.
+
+        Buckets come row by row from the south-west, their points in stored order, whatever the bounds. Reads
+        the buckets that overlap and no others; needs the memory of the result, of one of its columns once
+        more, and of eight rows.
+        """
+        parts = [
+            part
+            for bucket in self._current().overlapping(self.meta.bucket, bounds)
+            for part in points.parts_of(bucket, _count(bucket, candidates_only))
+        ]
+        keep = points.inside(bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell))
+        return self._points.read(parts, columns, keep)
+
+    def refresh(self) -> None:
+        """Look for an index that another process published since this object first read it."""
+        self._index = index.current_index(self._storage)
+
+    def _current(self) -> BucketIndex:
+        if self._index is None:
+            self._index = index.current_index(self._storage)
+        return self._index
+
+    def _bucket(self, cell: Cell) -> Bucket:
+        bucket = self._current().find(cell)
+        if bucket is None:
+            raise StoreError(f"bucket {cell.name}: not in {self.url}; allocate first")
+        return bucket
+
+    # --- labels
+
+    def write_labels(self, name: str, cell: Cell, labels: npt.NDArray[np.uint8]) -> None:
+        """Write the labels of a bucket, uint8 (n,) in its stored order; StoreError where n differs."""
+        bucket = self._bucket(cell)
+        n = _count(bucket, False)
+        if labels.shape != (n,) or labels.dtype != np.uint8:
+            raise StoreError(
+                f"labels {name} of bucket {cell.name}: need {n} uint8, got {labels.shape} {labels.dtype}"
+            )
+        if name not in self._labels:
+            # The first task of a pass makes the array; tasks that do so at the same time write the same.
+            shape = (self._current().rows, 1, layout.ROW_POINTS)
+            path = layout.labels_path(name)
+            found = arrays.find_array(self._storage, path, layout.LABELS)
+            self._labels[name] = found or arrays.create_array(self._storage, path, shape, layout.LABELS)
+        points.write_rows(self._storage, self._labels[name], bucket, labels[np.newaxis])
+
+    def read_labels(self, name: str, cell: Cell) -> npt.NDArray[np.uint8]:
+        """The labels of a bucket, uint8 (n,); StoreError where they were not written."""
+        bucket = self._bucket(cell)
+        parts = points.parts_of(bucket, _count(bucket, False))
+        if not parts:
+            return np.empty(0, dtype=np.uint8)
+        if name not in self._labels:
+            self._labels[name] = arrays.open_array(self._storage, layout.labels_path(name), layout.LABELS)
+        labels: npt.NDArray[np.uint8] = points.read_rows(self._storage, self._labels[name], parts)[0]
+        return labels
+
+    # --- rasters
+
+    def create_raster(self, name: str, height: int, width: int, fill: float = NODATA) -> None:
+        """Make a float32 raster; one of the same shape and fill keeps its blocks (*coordinator*)."""
+        self._rasters.pop(name, None)
+        rasters.create_raster(self._storage, name, height, width, fill)
+
+    def write_block(self, name: str, block: Block, values: npt.NDArray[np.float32]) -> None:
+        """Write a block of 512 x 512 pixels (less at the south and east edge)."""
+        rasters.write_block(self._storage, self._raster(name), block, values)
+
+    def read_block(self, name: str, block: Block) -> npt.NDArray[np.float32]:
+        """Any window of a raster; what was never written is the raster's fill."""
+        return rasters.read_block(self._storage, self._raster(name), block)
+
+    def _raster(self, name: str) -> arrays.ZarrArray:
+        if name not in self._rasters:
+            self._rasters[name] = rasters.open_raster(self._storage, name)
+        return self._rasters[name]
+
+    # --- the store as a whole
+
+    def lock(self) -> AbstractContextManager[lock.Lease]:
+        """Hold the store for one run; raises LockedError, naming the holder, while another run does."""
+        return lock.locked(self._storage)
+
+    def usage(self) -> Usage:
+        """Objects and bytes of the store (lists all of it)."""
+        return self._storage.usage()
+
+
+def create_store(url: str, meta: StoreMeta) -> TileStore:
+    """A new store, or the one that is there if it was made with the same `StoreMeta`.
+
+    Raises
+    ------
+    ConfigError
+        A store of another `StoreMeta` is there.
+    StoreError
+        Something else is there.
+    """
+    storage = Storage(url)
+    if storage.get("zarr.json") is not None:
+        store = open_store(url)
+        if store.meta != meta:
+            raise ConfigError(
+                f"{url}: holds a store of other settings or inputs; use --overwrite or another --store"
+            )
+        return store
+    if storage.names(""):
+        raise StoreError(f"{url}: holds something else than a tile store; give an empty or new place")
+    attributes = {layout.ROOT_ATTRIBUTE: {"schema": layout.SCHEMA_VERSION, **meta.to_json()}}
+    try:
+        zarr.create_group(storage.zarr_store, attributes=attributes, zarr_format=3)
+    except OSError as error:
+        raise failed_write(url, "zarr.json", error) from error
+    return TileStore(storage, meta)
+
+
+def open_store(url: str) -> TileStore:
+    """The store at ``url``; cheap, so that every task can call it.
+
+    Raises
+    ------
+    StoreError
+        There is none, or it is not one that this version wrote.
+    """
+    storage = Storage(url)
+    data = storage.get("zarr.json")
+    if data is None:
+        raise StoreError(f"{url}: no tile store here; `tiler ingest` or `tiler run` makes one")
+    try:
+        root = json.loads(data)
+        description = root["attributes"][layout.ROOT_ATTRIBUTE]
+        schema = description["schema"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise StoreError(f"{url}: not a tile store of tiler; give another path") from error
+    if schema != layout.SCHEMA_VERSION:
+        raise StoreError(
+            f"{url}: store of schema {schema}, this version reads {layout.SCHEMA_VERSION}; run again with --overwrite"
+        )
+    try:
+        return TileStore(storage, StoreMeta.from_json(description))
+    except StoreError as error:
+        raise StoreError(f"{url}: {error}") from error
+
+
+def store_exists(url: str) -> bool:
+    """Whether something that claims to be a zarr store lies at ``url``."""
+    return Storage(url).get("zarr.json") is not None
+
+
+def remove_store(url: str) -> None:
+    """Delete the store at ``url`` if there is one; StoreError, and nothing deleted, where it is something else."""
+    storage = Storage(url)
+    data = storage.get("zarr.json")
+    if data is None:
+        if storage.names(""):
+            raise StoreError(f"{url}: holds something else than a tile store; remove it yourself")
+        return
+    if layout.ROOT_ATTRIBUTE.encode() not in data:
+        raise StoreError(f"{url}: not a tile store of tiler; remove it yourself")
+    storage.delete_everything()
+
+
+def _count(bucket: Bucket, candidates_only: bool) -> int:
+    if bucket.info is None:
+        raise StoreError(f"bucket {bucket.cell.name}: not published yet; run ingest first")
+    return bucket.info.n_candidates if candidates_only else bucket.info.n

@@ -1,0 +1,240 @@
+"""The tasks of each stage, with the digest of everything that their results depend on.
+
+A task is done if the store holds a commit with its digest. So a change of a parameter, an input or a neighbour makes
+exactly those tasks new that it can reach, and everything else is found done.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from tiler import __version__
+from tiler.core.classes import OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.raster import RasterSpec
+from tiler.export import write_classified, write_cog
+from tiler.filter import LABELS, filter_tile
+from tiler.grid import full_halo, grid_block
+from tiler.ingest import SourceInfo, assemble_buckets, pieces, spool_piece
+from tiler.plan import GRID_BLOCK, GRID_HALO_M, KEEP, MAX_HALO_FACTOR, PIECE_POINTS, Plan
+from tiler.schedule import Task, digest_of
+
+GROUP = 4
+"""Buckets a side that one assembly task writes."""
+
+MAX_GROUND = 4_000_000
+"""Ground points that a block's TIN may hold by the plan; denser clouds give one point per quarter pixel, run-wide."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A readable file and its number in the store."""
+
+    info: SourceInfo
+    number: int
+    content: str
+
+    @property
+    def identity(self) -> list[Any]:
+        """What a piece of it depends on."""
+        return [self.info.size, self.info.digest, self.content, self.info.salvaged]
+
+
+def skip_flags(plan: Plan) -> int:
+    """Bits of flags that keep a point out of filtering."""
+    config = plan.config
+    return WITHHELD_FLAG | (SYNTHETIC_FLAG if config.skip_synthetic else 0) | (OVERLAP_FLAG if config.skip_overlap else 0)
+
+
+def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
+    """One for each piece of a source."""
+    limits = None if plan.limits is None else plan.limits.to_json()
+    for source in sources:
+        for start, count in pieces(source.info, PIECE_POINTS):
+            key = f"s{source.number:06d}-{start:012d}"
+            arguments = {
+                "path": str(source.info.path.resolve()), "source": source.number, "piece": key, "start": start,
+                "count": count, "bounds": limits, "salvage": plan.config.salvage,
+            }  # fmt: skip
+            digest = digest_of(source.identity, source.number, start, count, limits, plan.meta.to_json())
+            yield Task("spool", key, digest, spool_piece, arguments, count)
+
+
+Fragments = dict[Cell, list[tuple[str, int, int]]]
+"""Piece, first and end row of each run of points that belongs to a bucket."""
+
+
+def fragments_of(spooled: Mapping[str, tuple[str, dict[str, Any]]]) -> Fragments:
+    """Where the points of each bucket lie in the spool, from the commits of the pieces."""
+    found: Fragments = defaultdict(list)
+    for piece in sorted(spooled):
+        start = 0
+        for ix, iy, count in spooled[piece][1]["buckets"]:
+            found[Cell(ix, iy)].append((piece, start, start + count))
+            start += count
+    return dict(found)
+
+
+def assemble_tasks(plan: Plan, spooled: Mapping[str, tuple[str, dict[str, Any]]], fragments: Fragments) -> Iterator[Task]:
+    """One for each group of neighbouring buckets."""
+    groups: dict[Cell, list[Cell]] = defaultdict(list)
+    for cell in fragments:
+        groups[Cell(cell.ix // GROUP, cell.iy // GROUP)].append(cell)
+    flags, keep = skip_flags(plan), list(plan.config.keep_classes)
+    for group in sorted(groups):
+        buckets = [[c.ix, c.iy, [list(f) for f in fragments[c]]] for c in sorted(groups[group])]
+        parents = [spooled[piece][0] for piece in sorted({f[0] for c in groups[group] for f in fragments[c]})]
+        points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
+        arguments = {"buckets": buckets, "keep_classes": keep, "skip_flags": flags}
+        yield Task("assemble", group.name, digest_of(arguments, parents), assemble_buckets, arguments, points)
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """What the finished ingest holds: bucket -> record, and bucket -> digest of what its contents depend on."""
+
+    records: dict[Cell, dict[str, Any]]
+    digests: dict[Cell, str]
+
+    @classmethod
+    def of(cls, commits: Mapping[str, tuple[str, dict[str, Any]]]) -> Assembled:
+        """From the commits of the assembly tasks."""
+        records: dict[Cell, dict[str, Any]] = {}
+        digests: dict[Cell, str] = {}
+        for digest, record in commits.values():
+            for bucket in record["buckets"]:
+                cell = Cell(*bucket["cell"])
+                records[cell], digests[cell] = bucket, digest
+        return cls(dict(sorted(records.items())), digests)
+
+    def bounds(self) -> Bounds:
+        """Of all stored points, absolute counts."""
+        found = [Bounds.from_json(r["bounds"]) for r in self.records.values() if r["bounds"]]
+        union = found[0]
+        for other in found[1:]:
+            union = union.union(other)
+        return union
+
+
+def tiles_of(plan: Plan, cells: Iterable[Cell]) -> dict[Cell, list[Cell]]:
+    """Tile -> its buckets: each bucket belongs to the tile that holds its centre."""
+    size = plan.meta.frame.counts(plan.tile)
+    found: dict[Cell, list[Cell]] = defaultdict(list)
+    for cell in cells:
+        centre = [(i + Fraction(1, 2)) * plan.meta.bucket.size for i in (cell.ix, cell.iy)]
+        found[Cell(*(math.floor(c / size) for c in centre))].append(cell)
+    return {tile: sorted(found[tile]) for tile in sorted(found)}
+
+
+def filter_tasks(plan: Plan, assembled: Assembled, number: int, state: Mapping[str, Any]) -> Iterator[Task]:
+    """One for each tile of a pass."""
+    frame = plan.meta.frame
+    halo = math.ceil(frame.counts(Fraction(plan.halo_m)))
+    farthest = MAX_HALO_FACTOR * halo
+    for tile, cells in tiles_of(plan, assembled.records).items():
+        arguments = {
+            "method": plan.config.method, "parameters": plan.parameters, "pass": number, "state": dict(state),
+            "cells": [[c.ix, c.iy] for c in cells], "halo": halo, "max_halo": farthest,
+            "keep_classes": list(plan.config.keep_classes), "skip_flags": skip_flags(plan),
+        }  # fmt: skip
+        seen = _around(plan.meta.bucket, cells, farthest + _reach(plan), assembled.digests)
+        points = sum(assembled.records[c]["n"] for c in cells)
+        digest = digest_of(__version__, arguments, seen)
+        yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, arguments, points)
+
+
+def _reach(plan: Plan) -> int:
+    """Counts beyond a window at which occupied buckets still matter (see `filter.tile`), generously."""
+    return math.ceil(plan.meta.frame.counts(Fraction(6 * plan.halo_m)))
+
+
+def _around(lattice: Lattice, cells: Iterable[Cell], pad: int, digests: Mapping[Cell, str]) -> list[Any]:
+    """Digests of the buckets within ``pad`` counts of some buckets."""
+    hull: Bounds | None = None
+    for cell in cells:
+        hull = lattice.bounds(cell) if hull is None else hull.union(lattice.bounds(cell))
+    assert hull is not None  # a tile has a bucket
+    return [[c.ix, c.iy, digests[c]] for c in lattice.cells(hull.pad(pad)) if c in digests]
+
+
+def label_digests(plan: Plan, assembled: Assembled, filtered: Mapping[str, tuple[str, dict[str, Any]]]) -> dict[Cell, str]:
+    """Bucket -> digest of its final labels (of its contents for `keep`)."""
+    if plan.config.method == KEEP:
+        return assembled.digests
+    found: dict[Cell, str] = {}
+    for tile, cells in tiles_of(plan, assembled.records).items():
+        labels = filtered[f"t{tile.name}"][1]["labels"] if f"t{tile.name}" in filtered else "none"
+        for cell in cells:
+            found[cell] = digest_of(labels, assembled.digests[cell])
+    return found
+
+
+def raster_spec(plan: Plan, assembled: Assembled) -> RasterSpec:
+    """The one pixel grid of the run: all stored points, pixels on multiples of the resolution."""
+    return RasterSpec.covering(Lattice(plan.meta.frame.counts(plan.resolution)), assembled.bounds())
+
+
+def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], name: str) -> Iterator[Task]:
+    """One for each block of the raster that a facet could reach."""
+    spec, frame = raster_spec(plan, assembled), plan.meta.frame
+    max_edge = frame.counts(plan.config.max_edge)
+    keep = plan.config.method == KEEP
+    thin = plan.density * (GRID_BLOCK * float(plan.resolution) + 2 * GRID_HALO_M) ** 2 > MAX_GROUND
+    common = {
+        "name": name, "spec": spec.to_json(), "data": assembled.bounds().to_json(), "labels": None if keep else LABELS,
+        "classes": list(plan.config.ground_classes) if keep else [2], "skip_flags": skip_flags(plan),
+        "max_edge": str(max_edge), "halo": math.ceil(frame.counts(Fraction(GRID_HALO_M))),
+        "max_halo": full_halo(max_edge), "thin_cell": str(frame.counts(plan.resolution / 4)) if thin else None,
+    }  # fmt: skip
+    for block in spec.blocks(GRID_BLOCK):
+        window = spec.block_bounds(block).pad(full_halo(max_edge))
+        seen = [[c.ix, c.iy, labels[c]] for c in plan.meta.bucket.cells(window) if c in labels]
+        if not seen:
+            continue
+        arguments = {**common, "block": [block.row, block.col, block.height, block.width]}
+        digest = digest_of(__version__, arguments, seen)
+        points = sum(assembled.records[Cell(ix, iy)]["n"] for ix, iy, _ in seen)
+        yield Task(f"grid-{name}", block.name, digest, grid_block, arguments, points)
+
+
+def cog_task(plan: Plan, spec: RasterSpec, gridded: Mapping[str, tuple[str, dict[str, Any]]], inputs: str, out: Path, name: str) -> Task:
+    """The raster as a file."""
+    blocks = [[key, record["checksum"]] for key, (_, record) in sorted(gridded.items())]
+    arguments = {
+        "name": name, "spec": spec.to_json(), "out": str(out), "description": "terrain height",
+        "compress": plan.config.compress,
+        "tags": {
+            "TILER_VERSION": __version__, "TILER_METHOD": plan.config.method,
+            "TILER_PARAMETERS": _text(plan.parameters), "TILER_INPUTS": inputs,
+        },
+    }  # fmt: skip
+    return Task("export", f"{name}.tif", digest_of(arguments, blocks), write_cog, arguments, spec.height * spec.width)
+
+
+def _text(parameters: Mapping[str, Any]) -> str:
+    import json
+
+    return json.dumps(parameters, sort_keys=True)
+
+
+def classified_tasks(plan: Plan, sources: Iterable[Source], spooled: Mapping[str, tuple[str, dict[str, Any]]], labels: Mapping[Cell, str], names: Mapping[Path, Path], out: Path) -> Iterator[Task]:
+    """One for each source."""
+    for source in sources:
+        prefix = f"s{source.number:06d}-"
+        cells = sorted({Cell(ix, iy) for key, (_, r) in spooled.items() if key.startswith(prefix) for ix, iy, _ in r["buckets"]})
+        arguments = {
+            "path": str(source.info.path.resolve()), "source": source.number,
+            "out": str(out / "classified" / names[source.info.path]), "labels": LABELS,
+            "cells": [[c.ix, c.iy] for c in cells], "salvage": plan.config.salvage,
+        }  # fmt: skip
+        digest = digest_of(__version__, source.identity, arguments, [labels[c] for c in cells])
+        yield Task("export", f"c{source.number:06d}", digest, write_classified, arguments, source.info.points)
+
+
