@@ -12,10 +12,8 @@ from cli.output import print_json
 from cli.session import TilerCommand, current_session
 from cli.summary import summary_lines
 
-STAGES = ("ingest", "filter", "grid", "export")
 
-
-def job_command(name: str, help: str, until: str | None = None) -> click.Command:
+def job_command(name: str, help: str, until: str = "export") -> click.Command:
     """A command that runs the job of INPUT... and OUT, to the end or to the end of a stage."""
 
     @click.command(name, cls=TilerCommand, resumes=True, help=help)
@@ -34,7 +32,7 @@ def job_command(name: str, help: str, until: str | None = None) -> click.Command
         if as_json:
             print_json(result.summary)
         elif not session.quiet:
-            for line in summary_lines(result.summary):
+            for line in summary_lines(result.summary, out, result.did_nothing):
                 click.echo(line)
         return result.exit_code
 

@@ -81,7 +81,8 @@ def describe_setting(spec: dataclasses.Field[Any]) -> str:
         parts.append(f"default: {text}")
     elif "default" not in spec.metadata["help"]:
         parts.append("default: none")
-    return spec.metadata["help"] + (f" [{'; '.join(parts)}]" if parts else "")
+    help: str = spec.metadata["help"]
+    return help + (f" [{'; '.join(parts)}]" if parts else "")
 
 
 def _option(spec: dataclasses.Field[Any]) -> Callable[[Command], Command]:
@@ -108,7 +109,7 @@ inputs_argument = click.argument("inputs", nargs=-1, required=True, metavar="INP
 
 out_option = click.option(
     "-o", "--out", required=True, type=click.Path(), metavar="OUT",
-    help="folder of the results; the same OUT again goes on where it stopped [required, no default]",
+    help="folder of the results; the same OUT again goes on where it stopped",
 )  # fmt: skip
 
 json_option = click.option(

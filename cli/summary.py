@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from tiler.observe.progress import duration_text
+from tiler.observe.progress import duration_text, rate_text
 
 
 def size_text(size: float) -> str:
@@ -21,8 +22,48 @@ def percent_text(fraction: float | None) -> str:
     return "-" if fraction is None else f"{100 * fraction:.2f} %"
 
 
-def summary_lines(summary: Mapping[str, Any]) -> list[str]:
-    return [str(summary), size_text(0), duration_text(0)]
+def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = False) -> list[str]:
+    """What a job did, as people read it.
+
+    Parameters
+    ----------
+    summary : mapping
+        The content of ``run.json``; a job up to an early stage has not all of it.
+    out : str
+        Folder of the results.
+    did_nothing : bool
+        Everything had been done before.
+    """
+    points = summary["counts"]["stored"]
+    lines = ["nothing to do: everything was done before"] if did_nothing else []
+    lines.append(f"points      {points:,} of {len(summary['inputs'])} files" + _dropped(summary["counts"]))
+    if "filter" in summary:
+        facts = summary["filter"]
+        lines.append(f"ground      {facts['ground']:,} points, in {facts['tiles']:,} tiles" + _marked(facts))
+    if "dtm.tif" in summary.get("outputs", {}):
+        facts = summary["dtm"]
+        size = f"{facts['width']:,} x {facts['height']:,} pixels of {facts['resolution_m']:g} m"
+        lines.append(f"DTM         {Path(out) / 'dtm.tif'}, {size}")
+    rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
+    lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
+    lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")
+    lines.extend(f"left out    {q['path']}: {_reason(q)}" for q in summary["quarantined"])
+    lines.extend(f"failed      {f['stage']} {f['key']}: {f['error']}" for f in summary["failed_tasks"])
+    return lines
+
+
+def _dropped(counts: Mapping[str, Any]) -> str:
+    dropped = sum(counts["dropped"].values())
+    return f", {dropped:,} dropped" if dropped else ""
+
+
+def _marked(facts: Mapping[str, Any]) -> str:
+    return f", {facts['marked']:,} labels not certified" if facts["marked"] else ""
+
+
+def _reason(entry: Mapping[str, str]) -> str:
+    """The error of a file; most begin with its name, which the line has already."""
+    return entry["error"].removeprefix(f"{entry['path']}: ")
 
 
 def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None) -> list[str]:
@@ -45,7 +86,11 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
         lines.append(f"ignored {classes['ignored']:,} points of the classes left out")
     unmatched = classes.get("unmatched_reference", 0), classes.get("unmatched_cloud", 0)
     if any(unmatched):
-        lines.append(f"without a partner: {unmatched[0]:,} points of the reference, {unmatched[1]:,} of the cloud")
+        lines.append(
+            f"without a partner: {unmatched[0]:,} points of the reference, {unmatched[1]:,} of the cloud"
+        )
     if dtm is not None and dtm["rmse"] is not None:
-        lines.append(f"DTM     RMSE {dtm['rmse']:.3f} m, bias {dtm['bias']:+.3f} m over {dtm['pixels']:,} pixels")
+        lines.append(
+            f"DTM     RMSE {dtm['rmse']:.3f} m, bias {dtm['bias']:+.3f} m over {dtm['pixels']:,} pixels"
+        )
     return lines

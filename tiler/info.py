@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
+
+if TYPE_CHECKING:
+    from tiler.store import TileStore
 
 _STEP = 1_000_000
 _CLOUDS = (".las", ".laz")
@@ -43,7 +46,9 @@ def describe(path: str) -> dict[str, Any]:
         return describe_store(path)
     place = Path(path)
     if not place.exists():
-        raise InputError(f"{path}: no such file or folder; name a cloud, a store, a result folder or a raster")
+        raise InputError(
+            f"{path}: no such file or folder; name a cloud, a store, a result folder or a raster"
+        )
     if place.is_dir():
         return _describe_folder(place)
     return describe_cloud(place) if place.suffix.lower() in _CLOUDS else describe_raster(place)
@@ -54,7 +59,9 @@ def _describe_folder(folder: Path) -> dict[str, Any]:
         return describe_store(str(folder))
     if (folder / "run.json").is_file():
         return describe_result(folder)
-    raise InputError(f"{folder}: neither a tile store nor a result folder; name a file in it, or OUT of a run")
+    raise InputError(
+        f"{folder}: neither a tile store nor a result folder; name a file in it, or OUT of a run"
+    )
 
 
 def describe_cloud(path: Path) -> dict[str, Any]:
@@ -102,17 +109,14 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
             codes, flags = class_and_flags(records, header.point_format)
             classes += np.bincount(codes, minlength=256)
             flagged += np.bincount(flags, minlength=256)
-            x, y = (
-                records[axis] * header.scales[i] + header.offsets[i] for i, axis in enumerate("XY")
-            )
+            x, y = (records[axis] * header.scales[i] + header.offsets[i] for i, axis in enumerate("XY"))
             col, row = ((v - low) / cell for v, low in ((x, x0), (y, y0)))
             inside = [np.clip(v, 0, _OCCUPANCY_CELLS).astype(np.intp) for v in (row, col)]
             occupied[inside[0], inside[1]] = True
     total = int(classes.sum())
-    # Cells finer than the points' spacing are mostly empty between them: the extent is then the better area.
-    area = min(float(occupied.sum()) * cell**2, (x1 - x0) * (y1 - y0)) * metres**2
-    sparse = total < 4 * int(occupied.sum())
-    area = (x1 - x0) * (y1 - y0) * metres**2 if sparse else area
+    # Where cells are finer than the points' spacing many are empty by chance: the extent is then the better area.
+    extent, filled = (x1 - x0) * (y1 - y0), int(occupied.sum())
+    area = (extent if total < 4 * filled else min(filled * cell**2, extent)) * metres**2
     bits = np.arange(256)
     return {
         "density_per_m2": total / area if area > 0 else None,
@@ -142,7 +146,18 @@ def describe_store(url: str) -> dict[str, Any]:
         "points": sum(info.n for info in buckets.values()),
         "candidates": sum(info.n_candidates for info in buckets.values()),
         "has_rgb": store.meta.has_rgb,
+        "tasks_done": {stage: len(done) for stage, done in _commits(store).items() if done},
     }
+
+
+def _commits(store: TileStore) -> dict[str, Any]:
+    """Stage -> its commits, in the order of a run; the filter has one stage a pass."""
+    found = {stage: store.committed(stage) for stage in ("spool", "assemble")}
+    number = 0
+    while passed := store.committed(f"filter{number}"):
+        found[f"filter{number}"] = passed
+        number += 1
+    return found | {stage: store.committed(stage) for stage in ("grid-dtm", "export")}
 
 
 def describe_result(folder: Path) -> dict[str, Any]:
@@ -150,7 +165,9 @@ def describe_result(folder: Path) -> dict[str, Any]:
     try:
         run = json.loads((folder / "run.json").read_text("utf-8"))
     except ValueError as error:
-        raise InputError(f"{folder / 'run.json'}: not valid JSON ({error}); run the same command again") from error
+        raise InputError(
+            f"{folder / 'run.json'}: not valid JSON ({error}); run the same command again"
+        ) from error
     facts: dict[str, Any] = {"kind": "result", "path": str(folder), "run": run}
     store = folder / "store.zarr"
     if store.is_dir():

@@ -43,6 +43,8 @@ GROUND_BYTES = 150
 """Of a ground point in a block's window: coordinates and the TIN."""
 STORED_BYTES = 24
 """Of a point on disk in the store, spool included, compressed; measured on a city."""
+MAX_DENOMINATOR = 511
+"""Of a pixel's side in counts, so that gridding is exact in int64."""
 WIDEST_RELIEF_M = 9000
 SECONDS_PER_MILLION = 3.5
 """CPU seconds a million points from LAZ to COG and LAZ; measured on a city, other machines differ."""
@@ -319,6 +321,12 @@ def _refuse(plan: Plan, out: Path | None) -> None:
         raise ConfigError(
             f"{worst} needs {memory[worst] / 2**20:,.0f} MiB a worker, {plan.memory / 2**20:,.0f} MiB are allowed; "
             f"use --memory {memory[worst] // 2**20 + 1}MiB" + (f" or --tile-size {smaller:g}" if worst == "filter" else "")
+        )
+    pixel = plan.meta.frame.counts(plan.resolution)
+    if pixel.denominator > MAX_DENOMINATOR:
+        raise ConfigError(
+            f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units is too odd a fraction; "
+            "give it in the unit of the CRS"
         )
     if plan.extent.empty:
         raise ConfigError("--bounds: holds no place")

@@ -10,7 +10,16 @@ from cli.options import config_options, json_option, read_config
 from cli.output import print_facts, print_json
 from cli.session import TilerCommand, current_session
 
-SETTINGS = ("method", "parameters", "memory", "units", "keep_classes", "skip_synthetic", "skip_overlap", "salvage")
+SETTINGS = (
+    "method",
+    "parameters",
+    "memory",
+    "units",
+    "keep_classes",
+    "skip_synthetic",
+    "skip_overlap",
+    "salvage",
+)
 
 
 @click.command("classify", cls=TilerCommand)

@@ -12,7 +12,9 @@ from cli.session import TilerCommand
 from tiler.config import RunConfig
 from tiler.errors import ConfigError
 
-HEAD = "# Settings of tiler, for --config; options of the command line win. What is commented out has no value."
+HEAD = (
+    "# Settings of tiler, for --config; options of the command line win. What is commented out has no value."
+)
 LAST = "parameters"  # a table: TOML wants it after the plain values
 
 
@@ -55,7 +57,8 @@ def toml_line(name: str, value: Any) -> str:
 
 def _parameter_lines(config: RunConfig, template: bool) -> list[str]:
     """The table of the method's parameters, every one with its effective value."""
-    lines = ["[parameters]"] if not template else [f"# {describe_setting(SETTINGS[LAST])}", "[parameters]"]
+    lines = [f"# parameters of the method {config.method}; `tiler methods` tells more"] if template else [""]
+    lines.append("[parameters]")
     if config.method == "keep":
         return lines
     from ptd.methods import make_params

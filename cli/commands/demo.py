@@ -12,7 +12,17 @@ from cli.output import print_json
 from cli.session import TilerCommand, current_session
 from cli.summary import score_lines, summary_lines
 
-SETTINGS = ("method", "parameters", "resolution", "tile_size", "halo", "memory", "workers", "scheduler", "overwrite")
+SETTINGS = (
+    "method",
+    "parameters",
+    "tile_size",
+    "halo",
+    "memory",
+    "workers",
+    "scheduler",
+    "overwrite",
+    "compress",
+)
 
 
 @click.command("demo", cls=TilerCommand, resumes=True)
@@ -38,6 +48,6 @@ def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
     if as_json:
         print_json(result.to_json())
     elif not session.quiet:
-        for line in (*summary_lines(result.summary), *score_lines(result.classes, result.dtm)):
+        for line in (*summary_lines(result.summary, out), *score_lines(result.classes, result.dtm)):
             click.echo(line)
     return result.exit_code

@@ -15,10 +15,11 @@ from tiler.config import parse_classes
 @click.argument("cloud", metavar="CLOUD", type=click.Path())
 @click.option(
     "--reference", required=True, metavar="REF", type=click.Path(),
-    help="cloud of the same points with the true classes [required, no default]",
+    help="cloud of the same points with the true classes",
 )  # fmt: skip
 @click.option(
-    "--ignore", metavar="N,N,...",
+    "--ignore",
+    metavar="N,N,...",
     help="true classes that do not count [default: 7,9,17,18,26,64,65,66,67: noise, water, bridges, virtual points]",
 )
 @json_option

@@ -8,8 +8,8 @@ command = job_command(
     "export",
     """Fourth stage: write the DTM and the classified clouds.
 
-    Does first what is missing before it (ingest, filter, grid). Use the INPUT, OUT and options of the other
-    stages: together they are `tiler run`.
+    Does first what is missing before it (ingest, filter, grid). Use the INPUT, OUT and
+    options of the other stages: together they are `tiler run`.
     """,
     until="export",
 )

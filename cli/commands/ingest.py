@@ -8,8 +8,8 @@ command = job_command(
     "ingest",
     """First stage: the clouds' points into the tile store.
 
-    Reads INPUT... (LAS and LAZ files, folders, globs) in bounded pieces and stores each point once. Use the INPUT, OUT and options of the other
-    stages: together they are `tiler run`.
+    Reads INPUT... (LAS and LAZ files, folders, globs) in bounded pieces and stores each point once. Use the
+    INPUT, OUT and options of the other stages: together they are `tiler run`.
     """,
     until="ingest",
 )

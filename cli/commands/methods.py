@@ -23,13 +23,16 @@ def command(name: str | None, as_json: bool) -> None:
 
     Every method, or only METHOD, with default, unit, range and source of each parameter. `--method METHOD`
     chooses one, `--set PARAMETER=VALUE` changes a parameter; the unit at the end of its name can be left out.
+    `--method keep` filters nothing: it grids the classes that the input brings.
     """
     from ptd.methods import METHODS
 
     if name is not None and name not in METHODS:
         raise ConfigError(f"no method {name!r}; there are {', '.join(METHODS)}")
     chosen = {n: m for n, m in METHODS.items() if name in (None, n)}
-    facts = {n: {"summary": m.summary, "parameters": parameter_facts(m.params)} for n, m in chosen.items()}
+    facts: dict[str, dict[str, Any]] = {
+        n: {"summary": m.summary, "parameters": parameter_facts(m.params)} for n, m in chosen.items()
+    }
     if as_json:
         print_json(facts)
         return

@@ -44,7 +44,7 @@ def _swap_rows(vertices: Int32Array, i: int, j: int) -> None:
 
 @kernel
 def _keep_distinct(vertices: Int32Array, n: int) -> int:
-    """Collinear points: sort the rows by (x, y), keep the lowest z of each position; returns how many are left."""
+    """Sort rows of collinear points by (x, y), keep the lowest z of each position; return how many are left."""
     key = np.empty(n, np.int64)
     for i in range(n):
         key[i] = (np.int64(vertices[4 * i]) << 32) + vertices[4 * i + 1]
@@ -81,7 +81,8 @@ def build(
     vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
         Of an empty TIN, with room for as many vertices as there are points, repeated positions included.
     x, y, z : int32 [n]
-        Positions in counts, in any order. Differences of x and of y have to stay below 2**26: not checked here.
+        Positions in counts, in any order. Differences of x and of y have to stay below 2**26: not checked
+        here.
     stamp : int
         Written to each triangle.
     """

@@ -82,9 +82,7 @@ def facet_passes(vertices: Int32Array, triangles: Int32Array, triangle: int, rul
 
 
 @kernel
-def circle_inside(
-    x: float, y: float, bx: float, by: float, cx: float, cy: float, sides: Sides
-) -> bool:
+def circle_inside(x: float, y: float, bx: float, by: float, cx: float, cy: float, sides: Sides) -> bool:
     """Whether the circle through a = (x, y), a + b and a + c surely stays inside the window.
 
     "Surely": the bound of the rounding error is added to the radius, so the answer may be a wrong no, never a

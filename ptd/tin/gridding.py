@@ -15,7 +15,7 @@ from ptd.tin.raster import Lattice, UInt8Array
 
 __all__ = ["EVERYWHERE", "Pixels", "Raster", "Window", "pixel_owners", "rasterise"]
 
-_MAX_Q = 2**7
+_MAX_Q = 2**9 - 1
 _ALL = 2**62  # above the square of any edge
 
 
@@ -29,7 +29,7 @@ class Pixels:
     Parameters
     ----------
     p, q : int
-        The cell size is p / q counts; q at most 128.
+        The cell size is p / q counts; q at most 511.
     left, top : int
         Global indices of the western column and of the northern row; the latter grow to the north.
     columns, rows : int

@@ -1,8 +1,8 @@
 """Incremental insertion into the exact Delaunay TIN (Bowyer, 1981; Watson, 1981).
 
 The triangles in conflict with a new point form a disk without inner vertices, so the graph of their
-adjacencies is a tree. It is therefore enough to follow the contour of the disk: no triangle needs a mark, and the rim
-comes out in counter-clockwise order, ready to be linked to the new vertex.
+adjacencies is a tree. It is therefore enough to follow the contour of the disk: no triangle needs a mark,
+and the rim comes out in counter-clockwise order, ready to be linked to the new vertex.
 """
 
 import numpy as np
@@ -29,9 +29,7 @@ __all__ = ["insert", "link_vertex", "lower_vertex", "start_triangulation"]
 
 
 @kernel
-def _conflict(
-    a: int, ax: int, ay: int, b: int, bx: int, by: int, d: int, dx: int, dy: int
-) -> bool:
+def _conflict(a: int, ax: int, ay: int, b: int, bx: int, by: int, d: int, dx: int, dy: int) -> bool:
     """`in_circle` for the triangle (a, d, b), one of whose vertices may be the ghost."""
     if (a | b | d) >= 0:
         return in_circle(ax, ay, dx, dy, bx, by)
@@ -48,9 +46,9 @@ def _collect(
 ) -> int:
     """Write the triangles in conflict with (x, y) and their rim to `scratch`; nothing else is changed.
 
-    With c = (scratch.size - HEADER) // 4, `scratch` receives from HEADER on the triangles, from HEADER + 2 c on
-    a pair for each edge of the rim, counter-clockwise: the half-edge outside and the vertex where it starts.
-    The quarter in between is the stack of edges still to look across.
+    With c = (scratch.size - HEADER) // 4, `scratch` receives from HEADER on the triangles, from HEADER + 2
+    c on a pair for each edge of the rim, counter-clockwise: the half-edge outside and the vertex where it
+    starts. The quarter in between is the stack of edges still to look across.
 
     Returns
     -------
@@ -190,7 +188,7 @@ def link_vertex(
 def lower_vertex(
     vertices: Int32Array, triangles: Int32Array, counters: Int32Array, vertex: int, z: int, stamp: int
 ) -> bool:
-    """Lower `vertex` to `z` unless it is that low already; stamp its triangles if it moved, say whether it did."""
+    """Lower `vertex` to `z` unless it is as low; stamp its triangles if it moved, say whether it did."""
     if z >= vertices[4 * vertex + 2]:
         return False
     vertices[4 * vertex + 2] = z
@@ -213,7 +211,7 @@ def lower_vertex(
 def start_triangulation(
     vertices: Int32Array, triangles: Int32Array, counters: Int32Array, i: int, j: int, k: int, stamp: int
 ) -> None:
-    """Make the first triangle, of the stored vertices i, j, k that are not collinear, and its three ghosts."""
+    """Make the first triangle, of the stored non-collinear vertices i, j, k, and its three ghosts."""
     side = cross_at(
         vertices[4 * k],
         vertices[4 * k + 1],
@@ -287,15 +285,16 @@ def insert(
 ) -> int:
     """Insert a point; of points with equal (x, y) the lowest z stays.
 
-    The triangulation after a set of insertions depends on the set alone, not on its order (vertex and triangle
-    *numbers* do depend on it). Existing vertices keep their numbers.
+    The triangulation after a set of insertions depends on the set alone, not on its order (vertex and
+    triangle *numbers* do depend on it). Existing vertices keep their numbers.
 
     Parameters
     ----------
     vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
         ``counters[EVENT]`` tells what happened: `EVENT_NEW`, `EVENT_LOWERED`, `EVENT_KEPT` or `EVENT_FULL`.
     x, y, z : int
-        Position in counts. Differences of x and of y within one TIN have to stay below 2**26: not checked here.
+        Position in counts. Differences of x and of y within one TIN have to stay below 2**26: not checked
+        here.
     hint : int
         Any triangle, the nearer the faster; not read while there is no triangle.
     stamp : int

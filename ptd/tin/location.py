@@ -9,7 +9,7 @@ __all__ = ["coincident_vertex", "locate", "walk"]
 
 @kernel
 def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int) -> int:
-    """A triangle that contains (x, y), its boundary included, or a ghost whose hull edge (x, y) is beyond.
+    """Walk to a triangle that contains (x, y), border included, or a ghost whose hull edge (x, y) is beyond.
 
     Each step crosses an edge that has the point strictly on its other side. In the (symbolically perturbed)
     Delaunay triangulation such a walk cannot come back to a triangle, whichever of two edges it takes
@@ -59,7 +59,7 @@ def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int)
 
 @kernel
 def coincident_vertex(vertices: Int32Array, triangles: Int32Array, x: int, y: int, triangle: int) -> int:
-    """The vertex of `triangle` that lies exactly at (x, y), or -1."""
+    """Give the vertex of `triangle` that lies exactly at (x, y), or -1."""
     for corner in range(8 * triangle + 4, 8 * triangle + 7):
         v = int(triangles[corner])
         if v >= 0 and vertices[4 * v] == x and vertices[4 * v + 1] == y:
@@ -69,7 +69,7 @@ def coincident_vertex(vertices: Int32Array, triangles: Int32Array, x: int, y: in
 
 @kernel
 def locate(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int) -> int:
-    """The triangle that owns the position (x, y), whatever the hint.
+    """Find the triangle that owns the position (x, y), whatever the hint.
 
     - strictly inside a triangle: that triangle;
     - on an edge: of the two triangles, the one whose opposite vertex is lexicographically smaller in

@@ -43,8 +43,8 @@ class Tin:
     points are told apart by a symbolic perturbation in the lexicographic order of (x, y). Of points
     with equal (x, y) the lowest z stays.
 
-    The flat arrays that the kernels work on are the attributes `vertex_array`, `triangle_array` and `counters`
-    (layout: `ptd.tin.layout`); growing replaces the first two.
+    The flat arrays that the kernels work on are the attributes `vertex_array`, `triangle_array` and
+    `counters` (layout: `ptd.tin.layout`); growing replaces the first two.
 
     Parameters
     ----------
@@ -91,8 +91,8 @@ class Tin:
         Raises
         ------
         ValueError
-            If the arrays differ in length, are not one-dimensional integers, do not fit int32, or extend over 2**26
-            counts or more in x or y.
+            If the arrays differ in length, are not one-dimensional integers, do not fit int32, or extend
+            over 2**26 counts or more in x or y.
         """
         px, py, pz = _points(x, y, z)
         tin = cls(max(px.size, max_vertices or 1, 1))
@@ -149,7 +149,7 @@ class Tin:
         return Inserted(vertex, event != EVENT_KEPT)
 
     def locate(self, x: int, y: int) -> int:
-        """The triangle that owns the position (x, y); see `ptd.tin.location.locate` for edges and vertices.
+        """Find the triangle that owns the position (x, y): `ptd.tin.location.locate` tells about edges.
 
         Raises
         ------
@@ -204,7 +204,7 @@ class Tin:
             raise ValueError(f"triangle is {triangle}, must be in 0 .. {self.n_triangles - 1}")
 
     def _reachable(self, west: int, south: int, east: int, north: int) -> tuple[int, int, int, int]:
-        """Bounding box of the points and the box given; refuse one on which the predicates would not be exact."""
+        """Join the box to that of the points; refuse one on which the predicates would not be exact."""
         if self.n_vertices:
             west, south = min(west, self._low[0]), min(south, self._low[1])
             east, north = max(east, self._high[0]), max(north, self._high[1])
@@ -231,8 +231,10 @@ class Tin:
         self.vertex_array, self.triangle_array = vertices, triangles
 
 
-def _points(x: npt.ArrayLike, y: npt.ArrayLike, z: npt.ArrayLike) -> tuple[Int32Array, Int32Array, Int32Array]:
-    """The coordinates as contiguous int32 arrays of one length."""
+def _points(
+    x: npt.ArrayLike, y: npt.ArrayLike, z: npt.ArrayLike
+) -> tuple[Int32Array, Int32Array, Int32Array]:
+    """Check the coordinates and give them as contiguous int32 arrays of one length."""
     out = []
     for name, values in (("x", x), ("y", y), ("z", z)):
         column = np.asarray(values)

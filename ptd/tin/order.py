@@ -1,9 +1,9 @@
 """Coarse-to-fine insertion order along a space-filling curve.
 
 Inserting along a curve alone keeps each walk short but makes slivers that are replaced again and again; a
-random order makes long walks. Taking every 2**k-th point of the curve, then the points halfway between these, and so
-on, has neither fault. The idea is that of the biased randomized insertion order (Amenta, Choi and Rote,
-Incremental constructions con BRIO, 2003), here without random numbers.
+random order makes long walks. Taking every 2**k-th point of the curve, then the points halfway between
+these, and so on, has neither fault. The idea is that of the biased randomized insertion order (Amenta, Choi
+and Rote, Incremental constructions con BRIO, 2003), here without random numbers.
 """
 
 import numpy as np
@@ -47,7 +47,7 @@ _TABLE = _hilbert_table()
 
 @kernel
 def _curve_keys(x: Int32Array, y: Int32Array) -> UInt64Array:
-    """Place of each point along the Hilbert curve of the common bounding square (upper half) and its index."""
+    """Place of each point along the Hilbert curve of the bounding square (upper half), and its index."""
     low_x, high_x, low_y, high_y = x[0], x[0], y[0], y[0]
     for i in range(x.size):
         low_x, high_x = min(low_x, x[i]), max(high_x, x[i])
@@ -94,7 +94,7 @@ def _sorted_by_key(keys: UInt64Array) -> UInt64Array:
 
 @kernel
 def curve_order(x: Int32Array, y: Int32Array) -> Int32Array:
-    """Indices of the points along a Hilbert curve, equal cells in input order.
+    """Sort the points along a Hilbert curve, equal cells in input order.
 
     Parameters
     ----------
@@ -125,7 +125,8 @@ def round_order(order: Int32Array) -> Int32Array:
     Returns
     -------
     int32 [n]
-        ``order[0]``, then in each round the places that are multiples of the round's stride and not of the one before.
+        ``order[0]``, then in each round the places that are multiples of the round's stride and not of the
+        one before.
     """
     n = order.size
     out = np.empty(n, np.int32)

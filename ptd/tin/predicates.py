@@ -5,14 +5,15 @@ The arguments are the positions of the other points *relative to the query point
 - a product of two differences is below 2**52 and the difference of two such products below 2**53: it is
   exact in int64 and in float64;
 - the in-circle determinant is the sum of three products of a square sum and a cross product, each factor an
-  integer of at most 2**53, hence exact in float64. Only three products and two sums are rounded, so with
-  u = 2**-53 the error stays below 4 u S, S the sum of the absolute products. If the float64 value does not
-  exceed that bound, the true value stays below 8 u S < 2**58, hence *the same expression in int64, which wraps
-  modulo 2**64, is the exact value*. No wide integers are needed.
+  integer of at most 2**53, hence exact in float64. Only three products and two sums are rounded, so with u
+  = 2**-53 the error stays below 4 u S, S the sum of the absolute products. If the float64 value does not
+  exceed that bound, the true value stays below 8 u S < 2**58, hence *the same expression in int64, which
+  wraps modulo 2**64, is the exact value*. No wide integers are needed.
 
-Source: the idea of a filter with an error bound is Shewchuk's (Adaptive precision floating-point arithmetic and
-fast robust geometric predicates, 1997); the perturbation is that of Devillers and Teillaud (Perturbations and
-vertex removal in a 3D Delaunay triangulation, SODA 2003), as "the lexicographically largest point moves most".
+Source: the idea of a filter with an error bound is Shewchuk's (Adaptive precision floating-point arithmetic
+and fast robust geometric predicates, 1997); the perturbation is that of Devillers and Teillaud
+(Perturbations and vertex removal in a 3D Delaunay triangulation, SODA 2003), as "the lexicographically
+largest point moves most".
 """
 
 from ptd.kernel import kernel
@@ -68,7 +69,7 @@ def in_circle(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bool:
 
 @kernel
 def _in_circle_close(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bool:
-    """`in_circle` where float64 cannot tell: the determinant is known to fit int64, so wrapping is harmless."""
+    """`in_circle` where float64 cannot tell: the determinant fits int64, so wrapping is harmless."""
     exact = (
         (ax * ax + ay * ay) * (bx * cy - by * cx)
         + (bx * bx + by * by) * (cx * ay - cy * ax)

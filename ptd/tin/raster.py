@@ -5,7 +5,7 @@ Rasters have row 0 in the north. The centre of the pixel with the global indices
 so ``row = top - iy``.
 
 All positions are scaled by 2 q, which makes them integers. The side of an edge on which a centre lies is the cross
-product of the unscaled edge (below 2**26) and the scaled offset (below 2**26 * 2 q): for q <= 2**7 it is below 2**61
+product of the unscaled edge (below 2**26) and the scaled offset (below 2**26 * 2 q): for q < 2**9 it is below 2**63
 and exact in int64.
 
 A centre on an edge belongs to the side whose opposite vertex is lexicographically smaller in (x, y), *among the sides
@@ -44,7 +44,7 @@ class Lattice(NamedTuple):
     step
         Distance of the centres; columns go to the east, rows to the south.
     scale
-        Units in a count, at most 2**8.
+        Units in a count, less than 2**10.
     """
 
     x0: int

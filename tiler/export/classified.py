@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import lazrs
 import numpy as np
 import numpy.typing as npt
 
@@ -23,7 +22,8 @@ from tiler.errors import ProcessingError
 from tiler.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
 from tiler.las.headers import LasHeader, read_header
 from tiler.las.reader import EVERYTHING, PointReader, Records
-from tiler.las.records import LASZIP_RECORD, LASZIP_USER, VariableRecord
+from tiler.las.records import VariableRecord
+from tiler.las.writer import PointWriter, laszip_vlr
 from tiler.store import TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27
@@ -34,7 +34,6 @@ _STEP = 10 * _CHUNK
 _COPY = 1 << 20
 _MARK = 0x80
 _WAVE_FORMATS = (9, 10)
-_LASZIP_VLR = struct.Struct("<H16sHH32s")
 
 
 def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
@@ -100,15 +99,6 @@ def _kept(records: Sequence[VariableRecord]) -> list[VariableRecord]:
     return [r for r in records if not r.is_copc]
 
 
-def _extra_bytes(header: LasHeader) -> int:
-    """Bytes of a record beyond what its point format needs."""
-    return header.record_length - int(lazrs.LazVlr.new_for_compression(header.point_format, 0).item_size())
-
-
-def _laszip(header: LasHeader) -> Any:
-    return lazrs.LazVlr.new_for_compression(header.point_format, _extra_bytes(header))
-
-
 def _write_front(header: LasHeader, source: BinaryIO, target: BinaryIO) -> list[str]:
     """Header, VLRs and whatever lies between them and the points; returns notes."""
     notes = ["COPC written as plain LAZ, without its octree"] if any(v.is_copc for v in header.vlrs) else []
@@ -119,13 +109,13 @@ def _write_front(header: LasHeader, source: BinaryIO, target: BinaryIO) -> list[
         if vlr.is_laszip:
             if laszip_done:
                 continue
-            target.write(_laszip_record(header))
+            target.write(laszip_vlr(header))
             laszip_done = True
         else:
             _copy(source, target, vlr.start, vlr.end)
         written += 1
     if not laszip_done:
-        target.write(_laszip_record(header))
+        target.write(laszip_vlr(header))
         written += 1
     _copy(source, target, header.vlrs[-1].end if header.vlrs else header.header_size, header.points_offset)
     points = target.tell()
@@ -134,11 +124,6 @@ def _write_front(header: LasHeader, source: BinaryIO, target: BinaryIO) -> list[
     _patch_counts(header, target)
     target.seek(points)
     return notes
-
-
-def _laszip_record(header: LasHeader) -> bytes:
-    data = bytes(_laszip(header).record_data())
-    return _LASZIP_VLR.pack(0, LASZIP_USER.encode(), LASZIP_RECORD, len(data), b"lazrs") + data
 
 
 def _patch(target: BinaryIO, position: int, form: str, *values: int) -> None:
@@ -169,8 +154,7 @@ def _write_points(
     changed = refused = 0
     channels: set[int] = set()
     highest = LEGACY_CLASS_MASK if is_legacy(header.point_format) else 255
-    # lazrs reads and writes through a buffer of its own: it is flushed by done().
-    compressor = lazrs.LasZipCompressor(target, _laszip(header))
+    writer = PointWriter(target, header)
     with PointReader(header, EVERYTHING) as reader:
         for first in range(0, header.point_count, ROWS_AT_ONCE):
             last = min(first + ROWS_AT_ONCE, header.point_count)
@@ -191,8 +175,8 @@ def _write_points(
                 write_classes(records, header.point_format, new, chosen)
                 changed += int(np.count_nonzero(chosen))
                 classes += np.bincount(np.where(chosen, new, before), minlength=256)
-                compressor.compress_many(records.view(np.uint8))
-    compressor.done()
+                writer.write(records)
+    writer.close()
     histogram = {str(c): int(n) for c, n in enumerate(classes.tolist()) if n}
     return {"changed": changed, "refused": refused, "classes": histogram}
 

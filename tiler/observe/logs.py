@@ -13,7 +13,10 @@ class _StderrHandler(logging.Handler):
     """Writes to whatever `sys.stderr` is at that moment: progress bars put themselves in its place."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        print(self.format(record), file=sys.stderr, flush=True)
+        text = self.format(record)
+        if record.name == "py.warnings":  # several lines, the last of them source code
+            text = " ".join(text.split())
+        print(text, file=sys.stderr, flush=True)
 
 
 def set_up_logging(verbosity: int) -> None:

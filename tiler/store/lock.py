@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 import time
@@ -35,10 +36,7 @@ class Lease:
         """Raise LockedError if another run took the store over, as after a long sleep of this machine."""
         holder = _holder(self._storage)
         if holder is None or holder["token"] != self._token:
-            raise self._refused(holder)
-
-    def _refused(self, holder: dict[str, Any] | None) -> LockedError:
-        return LockedError(f"{self._storage.url}: in use by {_name(holder)}; wait for it, or stop it")
+            raise _refused(self._storage, holder)
 
     def _body(self) -> dict[str, Any]:
         process = psutil.Process()
@@ -62,7 +60,7 @@ class Lease:
         taken_over = holder is not None
         if holder is not None:
             if not _stale(holder):
-                raise self._refused(holder)
+                raise _refused(self._storage, holder)
             self._storage.delete(LOCK_KEY)
         self._storage.put_json_new(LOCK_KEY, self._body())
         if taken_over or self._storage.root is None:
@@ -70,7 +68,6 @@ class Lease:
         self.check()
 
     def _release(self) -> None:
-        self._stop.set()
         holder = _holder(self._storage)
         if holder is not None and holder["token"] == self._token:
             self._storage.delete(LOCK_KEY)
@@ -94,12 +91,27 @@ def locked(storage: Storage) -> Iterator[Lease]:
         lease._release()
 
 
+def refuse_if_held(storage: Storage) -> None:
+    """Raise LockedError while a run of another process holds the store."""
+    holder = _holder(storage)
+    if holder is not None and not _stale(holder) and not _is_here(holder):
+        raise _refused(storage, holder)
+
+
 def _holder(storage: Storage) -> dict[str, Any] | None:
     try:
         holder: dict[str, Any] | None = storage.get_json(LOCK_KEY)
     except StoreError:
         return {"token": "", "host": "?", "pid": 0, "started": 0.0, "since": 0.0, "renewed": 0.0}
     return holder
+
+
+def _is_here(holder: dict[str, Any]) -> bool:
+    return bool(holder["host"] == socket.gethostname() and holder["pid"] == os.getpid())
+
+
+def _refused(storage: Storage, holder: dict[str, Any] | None) -> LockedError:
+    return LockedError(f"{storage.url}: in use by {_name(holder)}; wait for it, or stop it")
 
 
 def _stale(holder: dict[str, Any]) -> bool:

@@ -132,7 +132,8 @@ class Storage:
         if self.root is not None:
             shutil.rmtree(self.root, ignore_errors=False)
         else:
-            sync(self.zarr_store.clear())
+            # Not `clear`: on fsspec it stops, silently, at the first folder that went with the one above it.
+            sync(self.zarr_store.delete_dir(""))
 
     def names(self, prefix: str) -> list[str]:
         """Sorted names of the objects and folders directly below ``prefix``."""

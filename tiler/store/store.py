@@ -308,7 +308,15 @@ def store_exists(url: str) -> bool:
 
 
 def remove_store(url: str) -> None:
-    """Delete the store at ``url`` if there is one; StoreError, and nothing deleted, where it is something else."""
+    """Delete the store at ``url`` if there is one.
+
+    Raises
+    ------
+    StoreError
+        Something else is there; nothing is deleted.
+    LockedError
+        A run of another process holds the store.
+    """
     storage = Storage(url)
     data = storage.get("zarr.json")
     if data is None:
@@ -317,6 +325,7 @@ def remove_store(url: str) -> None:
         return
     if layout.ROOT_ATTRIBUTE.encode() not in data:
         raise StoreError(f"{url}: not a tile store of tiler; remove it yourself")
+    lock.refuse_if_held(storage)
     storage.delete_everything()
 
 

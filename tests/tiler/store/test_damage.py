@@ -1,0 +1,128 @@
+"""A damaged store says so: no silent zeros, no foreign exception."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tiler.core.lattice import Bounds
+from tiler.core.points import PointBlock
+from tiler.core.raster import Block
+from tiler.errors import ProcessingError, StoreError
+from tiler.store import TileStore, open_store
+
+EVERYWHERE = Bounds(-(10**6), -(10**6), 10**6, 10**6)
+COLUMNS = {"xyz": "xyz", "attributes": "classification", "rgb": "rgb", "origin": "origin"}
+
+
+def flipped(data: bytes) -> bytes:
+    middle = len(data) // 2
+    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+
+
+DAMAGES = {
+    "gone": None,
+    "empty": lambda data: b"",
+    "three bytes": lambda data: data[:3],
+    "half": lambda data: data[: len(data) // 2],
+    "one byte short": lambda data: data[:-1],
+    "one bit": flipped,
+    "longer": lambda data: data + b"x",
+}
+
+
+@pytest.fixture(params=list(DAMAGES))
+def damage(request: pytest.FixtureRequest) -> Callable[[Path], None]:
+    change = DAMAGES[request.param]
+
+    def apply(path: Path) -> None:
+        if change is None:
+            path.unlink()
+        else:
+            path.write_bytes(change(path.read_bytes()))
+
+    return apply
+
+
+@pytest.mark.parametrize("column", list(COLUMNS))
+def test_a_damaged_chunk_of_points_is_an_error(
+    filled: TileStore, damage: Callable[[Path], None], column: str
+) -> None:
+    damage(Path(filled.url, "points", column, "c", "2", "0", "0"))
+    with pytest.raises(StoreError):
+        open_store(filled.url).window(EVERYWHERE, (COLUMNS[column],))
+
+
+def test_a_damaged_chunk_of_labels_is_an_error(filled: TileStore, damage: Callable[[Path], None]) -> None:
+    cell, info = next(iter(filled.buckets().items()))
+    filled.write_labels("p", cell, np.zeros(info.n, np.uint8))
+    damage(Path(filled.url, "labels", "p", "c", "0", "0", "0"))
+    with pytest.raises(StoreError):
+        filled.read_labels("p", cell)
+
+
+def test_a_damaged_spool_is_an_error(
+    local_store: TileStore, damage: Callable[[Path], None], points: Callable[..., PointBlock]
+) -> None:
+    local_store.write_piece("a", points(np.arange(100), np.arange(100)), [(0, 0, 100)])
+    damage(Path(local_store.url, "spool", "a", "c", "0", "0"))
+    with pytest.raises(StoreError):
+        local_store.read_fragment("a", 10, 20)
+
+
+def test_a_damaged_raster_is_an_error(local_store: TileStore, damage: Callable[[Path], None]) -> None:
+    local_store.create_raster("dtm", 100, 100)
+    block = Block(0, 0, 100, 100)
+    local_store.write_block("dtm", block, np.arange(10_000, dtype=np.float32).reshape(100, 100))
+    path = Path(local_store.url, "rasters", "dtm", "c", "0", "0")
+    damage(path)
+    if path.exists():
+        with pytest.raises(StoreError, match="rasters/dtm is damaged"):
+            local_store.read_block("dtm", block)
+    else:  # the block of a tile that failed
+        assert np.all(local_store.read_block("dtm", block) == -9999.0)
+
+
+def test_a_damaged_index_is_an_error(filled: TileStore, damage: Callable[[Path], None]) -> None:
+    from tiler.store.index import _loaded
+
+    (path,) = Path(filled.url, "index").glob("*.npy")
+    damage(path)
+    _loaded.cache_clear()  # as another process would find it
+    with pytest.raises(StoreError, match="bucket index is"):
+        open_store(filled.url).buckets()
+
+
+def test_a_damaged_state_is_an_error(local_store: TileStore) -> None:
+    local_store.put_state("plan", {"a": 1})
+    path = Path(local_store.url, "state", "plan.json")
+    path.write_bytes(path.read_bytes().replace(b"1}", b"2}"))
+    with pytest.raises(StoreError, match=r"state/plan\.json: damaged, its checksum does not fit"):
+        local_store.get_state("plan")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_disk_that_refuses_is_a_processing_error(local_store: TileStore) -> None:
+    Path(local_store.url).chmod(0o500)
+    with pytest.raises(ProcessingError, match=r"cannot write state/plan\.json"):
+        local_store.put_state("plan", 1)
+
+
+def test_a_full_disk_is_a_processing_error_with_its_remedy(
+    filled: TileStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import errno
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "replace", full)
+    cell = next(iter(filled.buckets()))
+    with pytest.raises(ProcessingError, match="No space left on device; free some space and run again"):
+        filled.put_state("plan", 1)
+    with pytest.raises(ProcessingError, match="cannot write points/xyz: No space left"):
+        filled.write_bucket(cell, filled.read_bucket(cell, tuple(PointBlock.__dataclass_fields__)), 0)

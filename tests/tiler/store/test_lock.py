@@ -1,0 +1,133 @@
+"""One run per store."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from tiler.errors import LockedError
+from tiler.store import StoreMeta, create_store, lock, open_store, remove_store
+from tiler.store.layout import LOCK_KEY
+from tiler.store.storage import Storage
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lock, "SETTLE_SECONDS", 0.02)
+
+
+def lease(**changes: Any) -> dict[str, Any]:
+    me = psutil.Process()
+    now = time.time()
+    body = {
+        "token": "x",
+        "host": socket.gethostname(),
+        "pid": me.pid,
+        "started": me.create_time(),
+        "since": now,
+    }
+    return {**body, "renewed": now, **changes}
+
+
+def test_the_lock_excludes_a_second_holder_by_name(store_url: str, meta: StoreMeta) -> None:
+    store = create_store(store_url, meta)
+    with store.lock() as held:
+        held.check()
+        with (
+            pytest.raises(LockedError, match=rf"in use by process {os.getpid()} on {socket.gethostname()}"),
+            open_store(store_url).lock(),
+        ):
+            pass
+        held.check()
+    with store.lock():
+        pass
+    assert Storage(store_url).get(LOCK_KEY) is None
+
+
+def test_an_error_inside_releases_the_lock(store_url: str, meta: StoreMeta) -> None:
+    store = create_store(store_url, meta)
+    with pytest.raises(ZeroDivisionError), store.lock():
+        _ = 1 / 0
+    with store.lock():
+        pass
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"renewed": time.time() - 1000, "host": "elsewhere"},
+        {"pid": 2**22 + 1},
+        {"started": 1.0},
+    ],
+    ids=["not renewed", "no such process", "number of another process"],
+)
+def test_a_stale_lease_is_taken_over(store_url: str, meta: StoreMeta, changes: dict[str, Any]) -> None:
+    store = create_store(store_url, meta)
+    Storage(store_url).put_json(LOCK_KEY, lease(**changes))
+    with store.lock() as held:
+        held.check()
+
+
+def test_a_damaged_lease_is_taken_over(store_url: str, meta: StoreMeta) -> None:
+    store = create_store(store_url, meta)
+    Storage(store_url).put(LOCK_KEY, b'{"crc')
+    with store.lock() as held:
+        held.check()
+
+
+def test_a_lease_of_another_host_holds_while_it_is_renewed(store_url: str, meta: StoreMeta) -> None:
+    store = create_store(store_url, meta)
+    Storage(store_url).put_json(LOCK_KEY, lease(host="elsewhere", pid=2**22 + 1))
+    with pytest.raises(LockedError, match="on elsewhere"), store.lock():
+        pass
+    with pytest.raises(LockedError, match="on elsewhere"):
+        remove_store(store_url)
+
+
+def test_a_held_lease_is_renewed_and_a_lost_one_noticed(
+    store_url: str, meta: StoreMeta, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lock, "RENEW_SECONDS", 0.01)
+    store, storage = create_store(store_url, meta), Storage(store_url)
+    with store.lock() as held:
+        first = storage.get_json(LOCK_KEY)["renewed"]
+        deadline = time.monotonic() + 5
+        while storage.get_json(LOCK_KEY)["renewed"] == first and time.monotonic() < deadline:
+            time.sleep(0.005)
+        assert storage.get_json(LOCK_KEY)["renewed"] > first
+        monkeypatch.setattr(lock, "RENEW_SECONDS", 1000.0)
+        time.sleep(0.05)
+        storage.put_json(LOCK_KEY, lease(host="elsewhere"))
+        with pytest.raises(LockedError, match="on elsewhere"):
+            held.check()
+    assert storage.get_json(LOCK_KEY)["host"] == "elsewhere"
+
+
+def test_the_lock_of_a_killed_run_is_free_at_once(tmp_path: Path, meta: StoreMeta) -> None:
+    store = create_store(str(tmp_path / "s"), meta)
+    code = (
+        "import os, sys; from tiler.store import open_store\n"
+        "held = open_store(sys.argv[1]).lock(); held.__enter__(); os._exit(9)"
+    )
+    died = subprocess.run([sys.executable, "-c", code, store.url], cwd=REPOSITORY, check=False)
+    assert died.returncode == 9
+    assert Storage(store.url).get(LOCK_KEY) is not None
+    with store.lock() as held:
+        held.check()
+
+
+def test_the_store_can_be_removed_by_its_holder(store_url: str, meta: StoreMeta) -> None:
+    store = create_store(store_url, meta)
+    with store.lock():
+        remove_store(store_url)
+    assert store.usage().objects == 0

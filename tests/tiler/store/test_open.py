@@ -1,0 +1,148 @@
+"""Only stores that this version wrote are opened, and nothing else is overwritten."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Cell, Lattice
+from tiler.core.units import US_SURVEY_FOOT, Units
+from tiler.errors import ConfigError, StoreError
+from tiler.store import StoreMeta, TileStore, create_store, open_store, remove_store
+
+FEET = StoreMeta(
+    CoordFrame(Units(US_SURVEY_FOOT, Fraction(3048, 10000)), (-(2**40), 5), 'PROJCS["ä"]'),
+    Lattice(Fraction(10**9, 3937)),
+    Lattice(Fraction(10**9, 3937 * 7)),
+    False,
+)
+
+
+def edit(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+
+
+def test_the_description_comes_back_exactly(store_url: str) -> None:
+    assert create_store(store_url, FEET).meta == FEET
+    assert open_store(store_url).meta == FEET
+
+
+def test_buckets_are_whole_numbers_of_fine_cells(meta: StoreMeta) -> None:
+    with pytest.raises(ConfigError, match="no whole number of cells"):
+        StoreMeta(meta.frame, Lattice(Fraction(10)), Lattice(Fraction(3)), False)
+
+
+def test_making_a_store_again_goes_on_with_it(store_url: str, meta: StoreMeta) -> None:
+    create_store(store_url, meta).put_state("plan", 1)
+    assert create_store(store_url, meta).get_state("plan") == 1
+    with pytest.raises(ConfigError, match="other settings or inputs; use --overwrite"):
+        create_store(store_url, replace(meta, has_rgb=False))
+
+
+def test_a_look_makes_nothing(tmp_path: Path) -> None:
+    place = tmp_path / "none"
+    with pytest.raises(StoreError, match="no tile store here"):
+        open_store(str(place))
+    remove_store(str(place))
+    assert not place.exists()
+
+
+def test_a_file_url_is_a_local_path(tmp_path: Path, meta: StoreMeta) -> None:
+    create_store(f"file://{tmp_path}/s", meta)
+    assert open_store(str(tmp_path / "s")).meta == meta
+
+
+@pytest.mark.parametrize("url", ["nosuchscheme://x/y"])
+def test_an_address_that_nothing_opens_is_refused(url: str) -> None:
+    with pytest.raises(ConfigError, match="cannot be opened"):
+        open_store(url)
+
+
+def test_other_content_is_neither_used_nor_deleted(tmp_path: Path, meta: StoreMeta) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(StoreError, match="holds something else"):
+        create_store(str(tmp_path), meta)
+    with pytest.raises(StoreError, match="remove it yourself"):
+        remove_store(str(tmp_path))
+    assert (tmp_path / "thesis.tex").exists()
+
+
+def test_a_foreign_zarr_group_is_refused(tmp_path: Path, meta: StoreMeta) -> None:
+    zarr.create_group(str(tmp_path / "g"), attributes={"mine": 1}, zarr_format=3)
+    for action in (open_store, lambda url: create_store(url, meta)):
+        with pytest.raises(StoreError, match="not a tile store of tiler"):
+            action(str(tmp_path / "g"))
+    with pytest.raises(StoreError, match="remove it yourself"):
+        remove_store(str(tmp_path / "g"))
+    assert (tmp_path / "g" / "zarr.json").exists()
+
+
+def test_a_store_of_another_schema_is_refused(local_store: TileStore) -> None:
+    edit(Path(local_store.url, "zarr.json"), lambda d: d["attributes"]["tiler_store"].update(schema=99))
+    with pytest.raises(StoreError, match="store of schema 99, this version reads"):
+        open_store(local_store.url)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda d: d["attributes"]["tiler_store"].pop("frame"),
+        lambda d: d["attributes"]["tiler_store"].update(bucket="1/0"),
+        lambda d: d["attributes"]["tiler_store"].update(fine="7"),
+    ],
+)
+def test_a_damaged_description_is_refused(
+    local_store: TileStore, change: Callable[[dict[str, Any]], object]
+) -> None:
+    edit(Path(local_store.url, "zarr.json"), change)
+    with pytest.raises(StoreError, match="description is damaged"):
+        open_store(local_store.url)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda d: d["codecs"].append({"name": "numcodecs.pickle"}),
+            r"codec numcodecs\.pickle is not allowed",
+        ),
+        (lambda d: d["codecs"].insert(0, {"name": "transpose"}), "codec transpose is not allowed"),
+        (lambda d: d.update(data_type="float64"), "not an array that this version writes"),
+        (
+            lambda d: d["chunk_grid"]["configuration"].update(chunk_shape=[1, 3, 9]),
+            "not an array that this version",
+        ),
+        (lambda d: d.update(storage_transformers=[{"name": "x"}]), "not an array that this version writes"),
+        (lambda d: d.pop("codecs"), "metadata are damaged"),
+        (lambda d: d.update(codecs="blosc"), "metadata are damaged"),
+    ],
+)
+def test_an_array_that_tiler_does_not_write_is_refused(
+    filled: TileStore, change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    edit(Path(filled.url, "points", "xyz", "zarr.json"), change)
+    store = open_store(filled.url)
+    with pytest.raises(StoreError, match=message):
+        store.read_bucket(next(iter(store.buckets())))
+
+
+def test_a_store_is_removed_whole(store_url: str, meta: StoreMeta) -> None:
+    store = create_store(store_url, meta)
+    store.allocate({Cell(0, 0): 5})
+    store.put_state("plan", 1)
+    assert store.usage().objects > 5
+    remove_store(store_url)
+    assert store.usage().objects == 0
+    create_store(store_url, FEET).create_raster("dtm", 3, 3)
+    assert np.all(open_store(store_url).meta == FEET)

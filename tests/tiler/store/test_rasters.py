@@ -1,0 +1,66 @@
+"""Rasters: blocks written one by one, read in any window."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.raster import Block, RasterSpec
+from tiler.errors import StoreError
+from tiler.store import StoreMeta, TileStore, create_store, open_store
+
+
+def test_blocks_come_back_in_any_window(store_url: str, meta: StoreMeta) -> None:
+    store = create_store(store_url, meta)
+    spec = RasterSpec.covering(Lattice(1), Bounds(0, 0, 700, 1100))  # type: ignore[arg-type]
+    truth = np.random.default_rng(0).normal(size=(spec.height, spec.width)).astype(np.float32)
+    store.create_raster("dtm", spec.height, spec.width)
+    for b in spec.blocks(512):
+        store.write_block("dtm", b, truth[b.row : b.row + b.height, b.col : b.col + b.width])
+    reader = open_store(store_url)
+    for b in [Block(0, 0, 1100, 700), Block(500, 500, 100, 100), Block(1099, 699, 1, 1)]:
+        found = reader.read_block("dtm", b)
+        assert found.dtype == np.float32
+        assert np.array_equal(found, truth[b.row : b.row + b.height, b.col : b.col + b.width])
+
+
+def test_what_was_not_written_is_fill_and_costs_nothing(local_store: TileStore) -> None:
+    local_store.create_raster("dtm", 600, 600)
+    local_store.create_raster("count", 600, 600, fill=0.0)
+    objects = local_store.usage().objects
+    local_store.write_block("dtm", Block(0, 512, 512, 88), np.full((512, 88), -9999.0, np.float32))
+    assert np.all(local_store.read_block("dtm", Block(0, 0, 600, 600)) == -9999.0)
+    assert np.all(local_store.read_block("count", Block(0, 0, 600, 600)) == 0.0)
+    assert local_store.usage().objects == objects
+
+
+def test_a_raster_made_again_keeps_its_blocks_if_it_is_the_same(local_store: TileStore) -> None:
+    block = Block(0, 0, 10, 10)
+    local_store.create_raster("dtm", 10, 10)
+    local_store.write_block("dtm", block, np.ones((10, 10), np.float32))
+    local_store.create_raster("dtm", 10, 10)
+    assert local_store.read_block("dtm", block).all()
+    local_store.create_raster("dtm", 10, 11)
+    assert np.all(local_store.read_block("dtm", Block(0, 0, 10, 11)) == -9999.0)
+    local_store.create_raster("dtm", 10, 11, fill=0.0)
+    assert np.all(local_store.read_block("dtm", Block(0, 0, 10, 11)) == 0.0)
+
+
+@pytest.mark.parametrize(
+    "block", [Block(0, 0, 512, 100), Block(1, 0, 512, 512), Block(512, 512, 89, 88), Block(0, 0, 600, 600)]
+)
+def test_a_block_that_shares_a_chunk_is_refused(local_store: TileStore, block: Block) -> None:
+    local_store.create_raster("dtm", 600, 600)
+    with pytest.raises(StoreError, match="is no chunk"):
+        local_store.write_block("dtm", block, np.zeros((block.height, block.width), np.float32))
+
+
+def test_values_of_another_shape_and_windows_beyond_are_refused(local_store: TileStore) -> None:
+    local_store.create_raster("dtm", 600, 600)
+    with pytest.raises(StoreError, match="is no chunk"):
+        local_store.write_block("dtm", Block(512, 512, 88, 88), np.zeros((1, 88), np.float32))
+    with pytest.raises(StoreError, match="reaches beyond 600 x 600"):
+        local_store.read_block("dtm", Block(512, 512, 89, 88))
+    with pytest.raises(StoreError, match="there is no rasters/dsm"):
+        local_store.read_block("dsm", Block(0, 0, 1, 1))

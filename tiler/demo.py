@@ -1,0 +1,84 @@
+"""The demonstration: a simulated city through the whole job, scored against what is true."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiler.config import RunConfig
+from tiler.evaluate import evaluate_dtm, evaluate_files, scores
+from tiler.observe.events import Listener
+from tiler.pipeline import run
+from tiler.simulate import DemoScene, demo_city
+
+COUNTS = ("ground_kept", "ground_lost", "object_taken", "object_kept", "ignored")
+RESOLUTION_M = Fraction(1)
+"""Of the true terrain, with which the DTM is compared pixel by pixel."""
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What came out.
+
+    Attributes
+    ----------
+    summary : dict
+        Of the run.
+    classes, dtm : dict
+        As `tiler.evaluate.scores` and `tiler.evaluate.evaluate_dtm` give them.
+    exit_code : int
+        Of the run.
+    """
+
+    summary: dict[str, Any]
+    classes: dict[str, Any]
+    dtm: dict[str, Any]
+    exit_code: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything as plain values."""
+        return asdict(self)
+
+
+def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) -> DemoResult:
+    """Simulate a city into OUT/input, run the whole job into OUT, score its classes and its DTM.
+
+    Parameters
+    ----------
+    out : path
+    seed : int
+        Of the city; the same seed gives the same clouds, so that a second demo has nothing to do.
+    config : RunConfig
+        Of the run, but for its resolution: the DTM gets that of the true terrain, 1 m.
+    listener : Listener
+        Told what happens.
+
+    Raises
+    ------
+    TilerError
+        As `tiler.pipeline.run` does.
+    """
+    out = Path(out)
+    listener("note", {"text": f"simulating a city of seed {seed} in {out / 'input'}"})
+    scene = demo_city(out / "input", seed)
+    config = config.updated(resolution=RESOLUTION_M)
+    result = run([str(path) for path in scene.paths], str(out), config, listener)
+    return DemoResult(
+        result.summary,
+        _score_classes(out, scene),
+        evaluate_dtm(out / "dtm.tif", scene.dtm_path),
+        result.exit_code,
+    )
+
+
+def _score_classes(out: Path, scene: DemoScene) -> dict[str, Any]:
+    """The errors over all clouds together."""
+    total = np.zeros(len(COUNTS), np.int64)
+    for path, truth in zip(scene.paths, scene.truth_paths, strict=True):
+        found = evaluate_files(out / "classified" / path.name, truth)
+        total += [found[name] for name in COUNTS]
+    return scores(total)
