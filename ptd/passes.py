@@ -61,7 +61,7 @@ class Method:
     params : type
         Frozen dataclass of `ptd.params.parameter` fields, the only home of the defaults, with the properties ``passes``
         (tuple of `Pass`), ``halo_m`` (points around a tile that decisions usually reach), ``align_m``
-        (windows are widened to whole cells of this lattice) and ``candidate_cell_m`` (0: every point is a candidate).
+        (windows are widened to whole cells of this lattice), ``margin_m`` (and by this beyond) and ``candidate_cell_m`` (0: every point is a candidate).
     """
 
     name: str

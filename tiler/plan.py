@@ -30,7 +30,8 @@ BUCKET_POINTS = 100_000
 BUCKETS_M = (8, 16, 32, 64, 128)
 TILE_M = 512
 GRID_BLOCK = 512
-GRID_HALO_M = 50
+GRID_HALO_M = 101
+"""A little more than the limit of a facet's edges by default, with which a block seldom needs more."""
 MAX_HALO_FACTOR = 4
 BASE_BYTES = 330 << 20
 """Of a worker before the first point: the interpreter and the libraries."""

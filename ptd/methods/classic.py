@@ -63,7 +63,7 @@ class Classic:
         0.0, "L2: facets with shorter edges take no more vertices; 0: all do", unit="m", minimum=0.0,
         maximum=1000.0, source="000 2.3",
     )  # fmt: skip
-    rounds: int = parameter(0, "rounds of densification; 0: until nothing passes", minimum=0, maximum=1000)
+    rounds: int = parameter(8, "rounds of densification; 0: until nothing passes", minimum=0, maximum=1000)
     thin_cell_m: float = parameter(
         1.0, "only the lowest point of a cell of this side can become a vertex; 0: every point", unit="m",
         minimum=0.0, maximum=100.0, source="003 3.3",
@@ -96,6 +96,11 @@ class Classic:
     def align_m(self) -> float:
         """Windows hold whole seed cells."""
         return self.max_building_size_m
+
+    @property
+    def margin_m(self) -> float:
+        """What lies around the whole cells of a window still decides on outliers within them."""
+        return self.low_radius_m if self.low_group else 0.0
 
     @property
     def candidate_cell_m(self) -> float:

@@ -1,4 +1,4 @@
-"""Exact, unique, incremental Delaunay TIN and its interpolation. Kernels: see the modules; layout: `layout`."""
+"""Exact, unique, incremental Delaunay TIN and its interpolation; for kernels see `ptd.tin.layout` first."""
 
 from ptd.tin.gridding import EVERYWHERE, Pixels, Raster, Window, pixel_owners, rasterise
 from ptd.tin.mesh import MAX_EXTENT, Inserted, Tin

@@ -44,7 +44,7 @@ def _swap_rows(vertices: Int32Array, i: int, j: int) -> None:
 
 @kernel
 def _keep_distinct(vertices: Int32Array, n: int) -> int:
-    """Sort rows of collinear points by (x, y), keep the lowest z of each position; return how many are left."""
+    """Sort rows of collinear points by (x, y), keep the lowest z of each position; return their number."""
     key = np.empty(n, np.int64)
     for i in range(n):
         key[i] = (np.int64(vertices[4 * i]) << 32) + vertices[4 * i + 1]

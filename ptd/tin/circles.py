@@ -33,7 +33,8 @@ class Rule(NamedTuple):
 class Sides(NamedTuple):
     """Limits of the window in which all data are known: float64, local counts.
 
-    Data are unknown at x < west, y < south, x > east, y > north. A side beyond which there are none is at infinity.
+    Data are unknown at x < west, y < south, x > east, y > north. A side beyond which there are none is at
+    infinity.
     """
 
     west: float

@@ -1,9 +1,10 @@
 """Heights on the planes of facets, bit-equal for any order of insertion, tile and shift of the frame.
 
-Positions are integers in units of 1 / `scale` count (1 for vertices' positions, 2 for half counts, 2 q for the centres
-of pixels of p / q counts). A plane is evaluated relative to the lexicographically smallest vertex of its facet, and the
-height above that vertex is rounded to 2**-20 count, so that adding the vertex's z is exact: a shift of x and y
-changes no bit, a shift of z by whole counts shifts the result by exactly that.
+Positions are integers in units of 1 / `scale` count (1 for vertices' positions, 2 for half counts, 2 q for
+the centres of pixels of p / q counts). A plane is evaluated relative to the lexicographically smallest
+vertex of its facet, and the height above that vertex is rounded to 2**-20 count, so that adding the
+vertex's z is exact: a shift of x and y changes no bit, a shift of z by whole counts shifts the result by
+exactly that.
 """
 
 import math

@@ -1,24 +1,24 @@
 """How a TIN lies in memory: three flat int32 arrays, and the kernels that read them.
 
 ``vertices`` (4 int32 a vertex)
-    ``vertices[4 * v + 0 .. 2]`` are x, y, z in counts, ``vertices[4 * v + 3]`` is one incident triangle (-1 as
-    long as all vertices are collinear and there is no triangle at all).
+    ``vertices[4 * v + 0 .. 2]`` are x, y, z in counts, ``vertices[4 * v + 3]`` is one incident triangle (-1
+    as long as all vertices are collinear and there is no triangle at all).
 
 ``triangles`` (8 int32 a triangle)
-    ``triangles[8 * t + 0 .. 2]`` are the twins of its three half-edges, ``[8 * t + 3]`` the stamp of its last
-    change, ``[8 * t + 4 .. 6]`` its vertices counter-clockwise, ``[8 * t + 7]`` is free for the caller (zeroed
-    when the triangle is created or changed).
+    ``triangles[8 * t + 0 .. 2]`` are the twins of its three half-edges, ``[8 * t + 3]`` the stamp of its
+    last change, ``[8 * t + 4 .. 6]`` its vertices counter-clockwise, ``[8 * t + 7]`` is free for the caller
+    (zeroed when the triangle is created or changed).
 
     A *half-edge* is the number ``h = 8 * t + j``, j = 0, 1, 2. It lies opposite vertex j of triangle t, so
-    ``triangles[h]`` is its twin (again a half-edge number), ``triangles[h + 4]`` the vertex opposite, ``h >> 3`` its
-    triangle; no search for the mirror index is ever needed.
+    ``triangles[h]`` is its twin (again a half-edge number), ``triangles[h + 4]`` the vertex opposite, ``h
+    >> 3`` its triangle; no search for the mirror index is ever needed.
 
 ``counters`` (int32)
     The first `HEADER` entries are named below, the rest is scratch for insertion.
 
-The *ghost* vertex (-1) lies at infinity. Each edge a -> b of the counter-clockwise hull carries a ghost triangle
-with the vertices b, a, ghost in cyclic order, so each half-edge has a twin, and n vertices, not all collinear,
-make 2 n - 2 triangles: 16 + 64 = 80 bytes a vertex.
+The *ghost* vertex (-1) lies at infinity. Each edge a -> b of the counter-clockwise hull carries a ghost
+triangle with the vertices b, a, ghost in cyclic order, so each half-edge has a twin, and n vertices, not
+all collinear, make 2 n - 2 triangles: 16 + 64 = 80 bytes a vertex.
 """
 
 import numpy as np

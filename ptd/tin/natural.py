@@ -1,11 +1,12 @@
 """Natural neighbour interpolation (Sibson, A brief description of natural neighbour interpolation, 1981).
 
-The weight of a neighbour is the area that the Voronoi cell of the inserted position takes from the neighbour's cell.
-These weights reproduce linear functions, so only the heights above the plane of the facet that contains the
-position are averaged and the plane is added: planes come out to the last bit, whatever the rounding of the areas.
+The weight of a neighbour is the area that the Voronoi cell of the inserted position takes from the
+neighbour's cell. These weights reproduce linear functions, so only the heights above the plane of the facet
+that contains the position are averaged and the plane is added: planes come out to the last bit, whatever
+the rounding of the areas.
 
-All lengths are relative to the position and each sum starts at the lexicographically smallest member of its ring or
-polygon, so the result does not depend on insertion, tile or frame.
+All lengths are relative to the position and each sum starts at the lexicographically smallest member of its
+ring or polygon, so the result does not depend on insertion, tile or frame.
 """
 
 import math
@@ -84,8 +85,8 @@ def _rim(
 ) -> int:
     """Write the rim of the triangles in conflict with the position to `scratch`, counter-clockwise.
 
-    From HEADER on the half-edges *inside*, from the middle on the stack. Returns their number, 0 if a ghost is
-    in conflict (on the hull), -1 if `scratch` is too small.
+    From HEADER on the half-edges *inside*, from the middle on the stack. Returns their number, 0 if a ghost
+    is in conflict (on the hull), -1 if `scratch` is too small.
     """
     room = (scratch.size - HEADER) >> 1
     bottom = HEADER + room
@@ -133,11 +134,11 @@ def _stolen_area(
     after_x: float,
     after_y: float,
 ) -> float:
-    """Twice the area that the position takes from the cell of the vertex where the rim's half-edge `edge` starts.
+    """Twice the area that the position takes from the cell of the vertex where the half-edge `edge` starts.
 
-    Its corners are the new centre on the rim edge that ends in the vertex (`last_edge`, before), the one on `edge`
-    (after), and the old centres of the triangles around the vertex from `edge` back to `last_edge`. Relative to
-    the centre before, so that far centres cancel little.
+    Its corners are the new centre on the rim edge that ends in the vertex (`last_edge`, before), the one on
+    `edge` (after), and the old centres of the triangles around the vertex from `edge` back to `last_edge`.
+    Relative to the centre before, so that far centres cancel little.
     """
     ux, uy = after_x - before_x, after_y - before_y
     total = 0.0

@@ -1,16 +1,17 @@
 """Gridding of a TIN: which facet owns each pixel centre, and what height that gives.
 
-Rasters have row 0 in the north. The centre of the pixel with the global indices (column, iy) lies at
-((2 column + 1) p / (2 q), (2 iy + 1) p / (2 q)) absolute counts, p / q counts being the cell size; iy grows to the north,
-so ``row = top - iy``.
+Rasters have row 0 in the north. The centre of the pixel with the global indices (column, iy) lies at ((2
+column + 1) p / (2 q), (2 iy + 1) p / (2 q)) absolute counts, p / q counts being the cell size; iy grows to
+the north, so ``row = top - iy``.
 
-All positions are scaled by 2 q, which makes them integers. The side of an edge on which a centre lies is the cross
-product of the unscaled edge (below 2**26) and the scaled offset (below 2**26 * 2 q): for q < 2**9 it is below 2**63
-and exact in int64.
+All positions are scaled by 2 q, which makes them integers. The side of an edge on which a centre lies is
+the cross product of the unscaled edge (below 2**26) and the scaled offset (below 2**26 * 2 q): for q < 2**9
+it is below 2**63 and exact in int64.
 
-A centre on an edge belongs to the side whose opposite vertex is lexicographically smaller in (x, y), *among the sides
-that pass the rule*; a centre on a vertex takes the vertex's z if any facet around it passes. (If sides that do
-not pass had a say too, unknown data beyond the window could change a pixel from any distance.)
+A centre on an edge belongs to the side whose opposite vertex is lexicographically smaller in (x, y), *among
+the sides that pass the rule*; a centre on a vertex takes the vertex's z if any facet around it passes. (If
+sides that do not pass had a say too, unknown data beyond the window could change a pixel from any
+distance.)
 """
 
 import math
@@ -55,12 +56,13 @@ class Lattice(NamedTuple):
 
 @kernel
 def _mark_near_sides(marks: UInt8Array, lattice: Lattice, rule: Rule, sides: Sides) -> None:
-    """Mark each pixel whose facet could pass the rule thanks to unknown data.
+    """Mark each pixel without a facet that passes where unknown data could give it one.
 
-    The circle of a passing facet through the pixel reaches at most 2 `max_radius` from it; if the window
-    reaches farther, that facet is known.
+    The corners of such a facet lie within its longest edge of the pixel. Where the window reaches as far, they are known,
+    and a triangle of the whole data with known corners is one of the window's triangulation as well: it would be
+    the pixel's facet. (Pixels whose facet passes are marked when that facet is drawn.)
     """
-    reach = 2.0 * rule.max_radius * (1.0 + 2.0**-20) + 2.0
+    reach = min(2.0 * rule.max_radius, math.sqrt(float(rule.max_edge2))) * (1.0 + 2.0**-20) + 2.0
     known = np.empty(marks.shape[1], np.bool_)
     for column in range(marks.shape[1]):
         x = float(lattice.x0 + column * lattice.step) / lattice.scale
@@ -126,6 +128,8 @@ def _own_vertices(
             heights[row, column] = vertices[4 * v + 2]
         if final:
             marks[row, column] = 0
+        elif owned:
+            marks[row, column] = 1
 
 
 @kernel
@@ -233,6 +237,8 @@ def _own_facet(
                     heights[row, column] = height_on(plane, x0 + column * step, py, scale)
                 if final:
                     marks[row, column] = 0
+                elif owned:
+                    marks[row, column] = 1
             ea += da
             eb += db
             ec += dc
@@ -252,7 +258,8 @@ def scan(
 ) -> None:
     """Find the facet or vertex that owns each pixel centre, and the linear height there.
 
-    Heights are computed while the facet is at hand: looking it up again for each pixel takes as long as the scan.
+    Heights are computed while the facet is at hand: looking it up again for each pixel takes as long as the
+    scan.
 
     Parameters
     ----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable
 from fractions import Fraction
 from typing import Any
@@ -54,10 +55,11 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
     core = _hull(store.meta.bucket, cells)
     align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
+    margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(params.margin_m)))))
     halo, tries, area = int(args["halo"]), 0, 0
     while True:
         tries += 1
-        window = _aligned(core.pad(halo), align)
+        window = _aligned(core.pad(halo), align).pad(margin)
         area += window.area()
         known = _known(store, window, reach=4 * int(align.size))
         candidates = _candidates(store, window, params.candidate_cell_m, args)

@@ -15,7 +15,7 @@ def area(a: Point, b: Point, c: Point) -> int:
 
 
 def in_circle(a: Point, b: Point, c: Point, p: Point) -> bool:
-    """p inside the circle of the counter-clockwise a, b, c; on it, the lexicographically largest is lifted most."""
+    """p inside the circle of the counter-clockwise a, b, c; on it, the largest of the four is lifted most."""
     rows = [(q[0] - p[0], q[1] - p[1]) for q in (a, b, c)]
     (ax, ay), (bx, by), (cx, cy) = rows
     a2, b2, c2 = (x * x + y * y for x, y in rows)

@@ -24,7 +24,7 @@ def _on_a_line(draw: st.DrawFn) -> Points:
 
 @st.composite
 def _on_a_circle(draw: st.DrawFn) -> Points:
-    # x^2 + y^2 = 5^2 13^2 17^2 has many integer solutions; scaled they reach far beyond what doubles hold exactly.
+    # x^2 + y^2 = 5^2 13^2 17^2 has many integer solutions; scaled they exceed what doubles hold exactly.
     r2 = (5 * 13 * 17) ** 2
     ring = [
         (x, y)

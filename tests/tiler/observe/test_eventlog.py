@@ -1,0 +1,46 @@
+"""events.jsonl: one whole JSON object a line, whatever became of earlier runs."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from tiler.observe.eventlog import EventLog
+
+
+def lines(path: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+
+
+def test_a_line_is_there_as_soon_as_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "out" / "events.jsonl"
+    with EventLog(path) as log:
+        log("note", {"text": "Höhe in m\nzweite Zeile"})
+        (line,) = lines(path)
+    assert line["event"] == "note"
+    assert line["text"] == "Höhe in m\nzweite Zeile"
+    assert datetime.fromisoformat(str(line["time"])).utcoffset() == timedelta(0)
+
+
+def test_runs_are_appended(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    for _ in range(2):
+        with EventLog(path) as log:
+            log("run_finished", {"seconds": 1.5})
+    assert [line["event"] for line in lines(path)] == ["run_finished", "run_finished"]
+
+
+def test_an_unfinished_line_does_not_spoil_the_next(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_text('{"event": "no', "utf-8")
+    with EventLog(path) as log:
+        log("note", {"text": "again"})
+    assert json.loads(path.read_text("utf-8").splitlines()[-1])["text"] == "again"
+
+
+def test_values_that_json_does_not_know_become_text(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    with EventLog(path) as log:
+        log("note", {"path": Path("a/b")})
+    assert lines(path)[0]["path"] == "a/b"

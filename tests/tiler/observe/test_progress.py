@@ -1,0 +1,126 @@
+"""Progress: what people read, on a terminal and elsewhere."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import pytest
+
+from tiler.observe.events import combine
+from tiler.observe.progress import bar_progress, count_text, duration_text, open_progress, plain_progress, rate_text
+
+
+class Clock:
+    """Stands still until it is told to go on."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+STARTED = {"stage": "filter", "tasks": 4, "points": 4_000_000, "done": 0}
+
+
+def task(key: str, points: int = 1_000_000) -> dict[str, Any]:
+    return {"stage": "filter", "key": key, "points": points, "seconds": 1.0, "peak_rss_bytes": 1}
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [(0, "0"), (870, "870"), (1_000, "1.0 k"), (12_345, "12.3 k"), (10_653_336, "10.7 M"), (2.5e9, "2.5 G")],
+)
+def test_counts_are_short(count: float, text: str) -> None:
+    assert count_text(count) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(4.23, "4.2 s"), (59.9, "59.9 s"), (60, "1:00"), (205, "3:25"), (3727, "1:02:07")]
+)
+def test_durations_are_short(seconds: float, text: str) -> None:
+    assert duration_text(seconds) == text
+
+
+def test_no_rate_without_points_or_time() -> None:
+    assert rate_text(0, 3.0) == rate_text(5, 0.0) == ""
+    assert rate_text(3_000_000, 2.0) == "1.5 M points/s"
+
+
+def test_plain_lines_at_begin_and_end_and_now_and_then() -> None:
+    stream, clock = io.StringIO(), Clock()
+    with plain_progress(stream, clock) as listen:
+        listen("stage_started", STARTED)
+        clock.now += 5
+        listen("task_done", task("a"))
+        clock.now += 15
+        listen("task_done", task("b"))
+        clock.now += 20
+        listen("stage_finished", {"stage": "filter", "seconds": 40.0})
+    assert stream.getvalue().splitlines() == [
+        "filter: 4 tasks, 4.0 M points",
+        "filter: 50%, 100.0 k points/s, 20.0 s left",
+        "filter: done in 40.0 s, 50.0 k points/s",
+    ]
+
+
+def test_a_stage_that_was_done_before_says_so() -> None:
+    stream = io.StringIO()
+    with plain_progress(stream) as listen:
+        listen("stage_started", {"stage": "grid", "tasks": 9, "points": 0, "done": 9})
+    assert stream.getvalue() == "grid: nothing to do, all 9 tasks were done before\n"
+
+
+def test_resumed_stage_counts_what_is_left() -> None:
+    stream = io.StringIO()
+    with plain_progress(stream) as listen:
+        listen("stage_started", {"stage": "grid", "tasks": 9, "points": 10, "done": 6})
+    assert stream.getvalue() == "grid: 3 tasks, 10 points (6 of 9 were done before)\n"
+
+
+def test_quiet_shows_only_trouble() -> None:
+    stream = io.StringIO()
+    with open_progress(stream, quiet=True) as listen:
+        listen("note", {"text": "all is well"})
+        listen("stage_started", STARTED)
+        listen("warning", {"text": "z looks like feet"})
+        listen("task_failed", {"stage": "filter", "key": "t+1", "error": "disk full"})
+    assert stream.getvalue() == "warning: z looks like feet\nwarning: filter t+1 failed: disk full\n"
+
+
+def test_bars_on_a_terminal_only() -> None:
+    plain, terminal = io.StringIO(), Terminal()
+    for stream in (plain, terminal):
+        with open_progress(stream) as listen:
+            listen("note", {"text": "pixels of [1 m]"})
+            listen("stage_started", STARTED)
+            listen("task_done", task("a", 4_000_000))
+            listen("stage_finished", {"stage": "filter", "seconds": 1.0})
+    assert "\x1b" not in plain.getvalue()
+    assert "\x1b" in terminal.getvalue()
+    assert "100 %" in terminal.getvalue()
+    assert "pixels of [1 m]" in terminal.getvalue(), "markup of rich must not eat brackets"
+
+
+def test_bar_of_an_empty_stage_is_full() -> None:
+    stream = Terminal()
+    with bar_progress(stream) as listen:
+        listen("stage_started", {"stage": "grid", "tasks": 0, "points": 0, "done": 0})
+        listen("task_failed", {"stage": "grid", "key": "r0", "error": "none"})
+    assert "100 %" in stream.getvalue()
+
+
+def test_combined_listeners_hear_everything_in_order() -> None:
+    heard: list[tuple[int, str]] = []
+    listen = combine(lambda e, f: heard.append((1, e)), lambda e, f: heard.append((2, e)))
+    listen("note", {})
+    listen("warning", {})
+    assert heard == [(1, "note"), (2, "note"), (1, "warning"), (2, "warning")]
