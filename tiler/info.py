@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 _STEP = 1_000_000
 _CLOUDS = (".las", ".laz")
-_OCCUPANCY_CELLS = 1024
-"""Cells along the longer side of the raster that measures how much of the extent holds points."""
+_POINTS_PER_CELL = 16
+_MOST_CELLS = 1024
+"""Of the raster that measures how much of the extent holds points: mean content, cells along a side at most."""
 
 
 def describe(path: str) -> dict[str, Any]:
@@ -101,25 +102,25 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
     header = read_header(path)
     classes, flagged = np.zeros(256, np.int64), np.zeros(256, np.int64)
     x0, y0, _, x1, y1, _ = bounds
-    cell = max(x1 - x0, y1 - y0) / _OCCUPANCY_CELLS or 1.0
-    occupied = np.zeros((_OCCUPANCY_CELLS + 1, _OCCUPANCY_CELLS + 1), np.bool_)
+    extent, longer = (x1 - x0) * (y1 - y0), max(x1 - x0, y1 - y0)
+    cell = max(math.sqrt(extent * _POINTS_PER_CELL / header.point_count), longer / _MOST_CELLS) or 1.0
+    last = int(longer / cell)
+    occupied = np.zeros((last + 1, last + 1), np.bool_)
     with PointReader(header, NEEDED) as reader:
         for start in range(0, header.point_count, _STEP):
             records = reader.read(start, min(_STEP, header.point_count - start))
             codes, flags = class_and_flags(records, header.point_format)
             classes += np.bincount(codes, minlength=256)
             flagged += np.bincount(flags, minlength=256)
-            x, y = (records[axis] * header.scales[i] + header.offsets[i] for i, axis in enumerate("XY"))
-            col, row = ((v - low) / cell for v, low in ((x, x0), (y, y0)))
-            inside = [np.clip(v, 0, _OCCUPANCY_CELLS).astype(np.intp) for v in (row, col)]
-            occupied[inside[0], inside[1]] = True
-    total = int(classes.sum())
-    # Where cells are finer than the points' spacing many are empty by chance: the extent is then the better area.
-    extent, filled = (x1 - x0) * (y1 - y0), int(occupied.sum())
-    area = (extent if total < 4 * filled else min(filled * cell**2, extent)) * metres**2
+            at = []
+            for i, low in ((1, y0), (0, x0)):
+                coordinate = records["XYZ"[i]] * header.scales[i] + header.offsets[i]
+                at.append(np.clip((coordinate - low) / cell, 0, last).astype(np.intp))
+            occupied[at[0], at[1]] = True
+    area = min(int(occupied.sum()) * cell**2, extent) * metres**2
     bits = np.arange(256)
     return {
-        "density_per_m2": total / area if area > 0 else None,
+        "density_per_m2": header.point_count / area if area > 0 else None,
         "classes": {str(c): int(n) for c, n in enumerate(classes) if n},
         "withheld_points": int(flagged[(bits & WITHHELD_FLAG) > 0].sum()),
         "synthetic_points": int(flagged[(bits & SYNTHETIC_FLAG) > 0].sum()),

@@ -22,7 +22,8 @@ from tiler.core.lattice import Cell
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.ingest import SourceInfo
-from tiler.observe.events import Listener, silent
+from tiler.observe.eventlog import EventLog
+from tiler.observe.events import Listener, combine, silent
 from tiler.perform import peak_rss_bytes, perform
 from tiler.plan import GRID_BLOCK, KEEP, Plan, crs_name, make_plan
 from tiler.report import write_run_file
@@ -176,25 +177,33 @@ def run(
     if config.overwrite:
         remove_store(url)
     plan, store = _frozen(plan, url)
+    with store.lock(), EventLog(out / "events.jsonl") as log:
+        result = _locked_run(plan, store, out, combine(listener, log), until, names, started)
+    if config.clean_store and until == "export":
+        remove_store(url)
+    return result
+
+
+def _locked_run(
+    plan: Plan, store: TileStore, out: Path, listener: Listener, until: str, names: dict[Path, Path], started: float
+) -> RunResult:
+    """The run itself, by the one process that holds the store."""
     for text in plan.notes:
         listener("note", {"text": text})
     for text in plan.warnings:
         listener("warning", {"text": text})
-    with store.lock():
-        job = Job(plan, out, store, listener)
-        job.quarantined = [{"path": path, "error": error} for path, error in plan.unreadable]
-        try:
-            _stages(job, until, names)
-        except BaseException:
-            job.save("interrupted")
-            raise
-        finally:
-            if job.executor is not None:
-                job.executor.close()
-        job.facts["seconds"] = round(time.monotonic() - started, 3)
-        summary = job.save("done")
-    if config.clean_store and until == "export":
-        remove_store(url)
+    job = Job(plan, out, store, listener)
+    job.quarantined = [{"path": path, "error": error} for path, error in plan.unreadable]
+    try:
+        _stages(job, until, names)
+    except BaseException:
+        job.save("interrupted")
+        raise
+    finally:
+        if job.executor is not None:
+            job.executor.close()
+    job.facts["seconds"] = round(time.monotonic() - started, 3)
+    summary = job.save("done")
     listener("run_finished", {"seconds": job.facts["seconds"]})
     return RunResult(5 if job.quarantined or job.failed else 0, summary, job.computed == 0)
 

@@ -83,7 +83,7 @@ def plane_height(
     x, y : int64
         Position in 1 / `scale` counts, less than 2**53 from the triangle.
     scale : int64
-        At most 2**8.
+        Less than 2**10.
 
     Returns
     -------

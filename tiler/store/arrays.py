@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ from tiler.errors import StoreError
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind
 from tiler.store.storage import Storage, failed_write
 
-ZarrArray = zarr.Array[Any]
+ZarrArray: TypeAlias = "zarr.Array[Any]"  # a string: older zarr 3.1 has no generic array
 
 
 class _Complete(WrapperStore[Any]):
@@ -75,8 +75,8 @@ def find_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray | None
         return None
     metadata = _checked(data, f"{storage.url}: {path}", kind)
     store = storage.zarr_store if kind.sparse else _Complete(storage.zarr_store)
-    array = zarr.Array.from_dict(StorePath(store, path), metadata)
-    return array.with_config({"write_empty_chunks": not kind.sparse})
+    place = StorePath(store, path)
+    return zarr.Array(zarr.AsyncArray(metadata, place, config={"write_empty_chunks": not kind.sparse}))
 
 
 def open_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray:

@@ -248,7 +248,7 @@ def test_natural_neighbours_on_a_regular_grid_are_symmetric() -> None:
     ("change", "message"),
     [
         ({"p": 0}, "cell size is 0 / 1"),
-        ({"q": 129}, "1 <= q <= 128"),
+        ({"q": 512}, "1 <= q <= 511"),
         ({"p": 2**26}, "must be below"),
         ({"columns": -1}, "none may be negative"),
         ({"left": 2**33}, "counts from the TIN's local 0"),

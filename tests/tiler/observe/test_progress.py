@@ -8,7 +8,14 @@ from typing import Any
 import pytest
 
 from tiler.observe.events import combine
-from tiler.observe.progress import bar_progress, count_text, duration_text, open_progress, plain_progress, rate_text
+from tiler.observe.progress import (
+    bar_progress,
+    count_text,
+    duration_text,
+    open_progress,
+    plain_progress,
+    rate_text,
+)
 
 
 class Clock:

@@ -1,0 +1,96 @@
+"""The one-tile wrapper: a whole cloud as one window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.frame import Scale, Window
+from ptd.methods import METHODS
+from ptd.params import to_json
+
+COUNTS_PER_METRE = 1000
+LARGEST_EXTENT_M = 60_000.0
+"""In-circle tests are exact for differences below 2**26 counts."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a filter says of a cloud.
+
+    Attributes
+    ----------
+    classification : uint8 [n]
+        ASPRS: 1 unclassified, 2 ground, 7 low noise.
+    decisions : dict
+        Method and effective parameters.
+    stats : dict
+        Of each pass by name: candidates, vertices, rounds, outliers.
+    """
+
+    classification: npt.NDArray[np.uint8]
+    decisions: dict[str, Any]
+    stats: dict[str, Any]
+
+
+def classify(xyz: npt.ArrayLike, method: str = "classic", params: Any = None) -> Result:
+    """Classify a cloud that fits into memory.
+
+    Coordinates are rounded to millimetres; lattices are anchored at coordinate 0, as in a tiled run.
+
+    Parameters
+    ----------
+    xyz : float64 [n, 3]
+        East, north, height in metres.
+    method : str
+        A name in `ptd.methods.METHODS`.
+    params : dataclass, optional
+        Parameters of that method; its defaults if left out.
+
+    Raises
+    ------
+    ValueError
+        Not an [n, 3] array, values that are not finite, an extent above 60 km, an unknown method, or parameters of another.
+    """
+    points = np.asarray(xyz, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"xyz has shape {points.shape}, must be (n, 3): x, y, z in metres")
+    if method not in METHODS:
+        raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
+    wanted = METHODS[method].params
+    params = wanted() if params is None else params
+    if not isinstance(params, wanted):
+        raise ValueError(f"params is {type(params).__name__}, method {method} takes {wanted.__name__}")
+    counts, scale = _counts(points)
+    window, state = Window.everything(), {}
+    labels = np.ones(len(points), np.uint8)
+    stats = {}
+    for step in params.passes:
+        model = step.fit(counts, window, scale, state)
+        labels, _ = model.label(counts)
+        stats[step.name] = model.stats
+        state = step.reduce([model.partial()], state)
+    return Result(labels, {"method": method, "parameters": to_json(params)}, stats)
+
+
+def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Scale]:
+    """Local millimetre counts int32 [3, n], and their scale."""
+    if len(points) == 0:
+        return np.zeros((3, 0), np.int32), Scale()
+    low, high = points.min(axis=0), points.max(axis=0)
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise ValueError("xyz has values that are not finite; leave those points out")
+    if (high[:2] - low[:2]).max() > LARGEST_EXTENT_M:
+        raise ValueError(
+            f"xyz extends over {(high[:2] - low[:2]).max() / 1000:.0f} km; above {LARGEST_EXTENT_M / 1000:.0f} km use tiles"
+        )
+    origin = [round(float(v) * COUNTS_PER_METRE) for v in low[:2]]
+    counts = np.empty((3, len(points)), np.int32)
+    for axis, shift in enumerate((*origin, 0)):
+        counts[axis] = np.rint(points[:, axis] * COUNTS_PER_METRE).astype(np.int64) - shift
+    unit = Fraction(1, COUNTS_PER_METRE)
+    return counts, Scale(unit, unit, (origin[0], origin[1]))

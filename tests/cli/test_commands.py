@@ -1,0 +1,208 @@
+"""What each command prints, and what it asks of the library."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cli.commands.methods import range_text
+from cli.main import main
+from cli.output import fact_lines
+from cli.summary import score_lines, size_text, summary_lines
+from tiler.config import RunConfig
+
+SUMMARY: dict[str, Any] = {
+    "inputs": [{}, {}], "counts": {"stored": 3_000_000, "dropped": {"outside --bounds": 12}}, "seconds": 90.0,
+    "filter": {"ground": 2_000_000, "tiles": 6, "marked": 3}, "outputs": {"dtm.tif": 1000},
+    "dtm": {"width": 1200, "height": 600, "resolution_m": 0.5}, "peak_rss_bytes": 300 << 20,
+    "quarantined": [{"path": "bad.laz", "error": "bad.laz: cut short"}],
+    "failed_tasks": [{"stage": "filter0", "key": "t+1", "error": "no memory"}],
+}  # fmt: skip
+
+
+@dataclass
+class Result:
+    exit_code: int = 5
+    summary: dict[str, Any] = field(default_factory=lambda: SUMMARY)
+    did_nothing: bool = False
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """Calls of `tiler.pipeline.run`, which is replaced."""
+    seen: list[dict[str, Any]] = []
+
+    def run(inputs: Any, out: Any, config: RunConfig, listener: Any, until: str) -> Result:
+        listener("note", {"text": "a note"})
+        listener("warning", {"text": "a warning"})
+        seen.append({"inputs": inputs, "out": out, "config": config, "until": until})
+        return Result()
+
+    monkeypatch.setattr("tiler.pipeline.run", run)
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("command", "until"),
+    [("run", "export"), ("ingest", "ingest"), ("filter", "filter"), ("grid", "grid"), ("export", "export")],
+)
+def test_stage_commands_are_the_run_up_to_there(
+    command: str, until: str, calls: list[dict[str, Any]]
+) -> None:
+    assert main([command, "a.laz", "b/*.las", "-o", "OUT", "--workers", "2"]) == 5
+    assert calls == [
+        {"inputs": ("a.laz", "b/*.las"), "out": "OUT", "config": RunConfig(workers=2), "until": until}
+    ]
+
+
+def test_summary_to_stdout_progress_to_stderr(calls: object, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "a.laz", "-o", "OUT"]) == 5
+    captured = capsys.readouterr()
+    assert captured.err == "a note\nwarning: a warning\n"
+    assert captured.out.splitlines() == [
+        "points      3,000,000 of 2 files, 12 dropped",
+        "ground      2,000,000 points, in 6 tiles, 3 labels not certified",
+        f"DTM         {Path('OUT') / 'dtm.tif'}, 1,200 x 600 pixels of 0.5 m",
+        "time        1:30, 33.3 k points/s",
+        "memory      300.0 MiB at most in one process",
+        "left out    bad.laz: cut short",
+        "failed      filter0 t+1: no memory",
+    ]
+
+
+def test_json_is_the_summary_alone(calls: object, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "a.laz", "-o", "OUT", "--json", "-q"]) == 5
+    captured = capsys.readouterr()
+    assert json.loads(captured.out) == SUMMARY
+    assert captured.err == "warning: a warning\n"
+
+
+def test_quiet_prints_nothing_but_trouble(calls: object, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "a.laz", "-o", "OUT", "-q"]) == 5
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == "warning: a warning\n"
+
+
+def test_a_finished_job_says_that_it_did_nothing() -> None:
+    lines = summary_lines(SUMMARY, "OUT", did_nothing=True)
+    assert lines[0].startswith("nothing to do")
+    assert "points/s" not in "\n".join(lines)
+
+
+def test_summary_of_an_early_stage() -> None:
+    early = {k: v for k, v in SUMMARY.items() if k not in ("filter", "dtm", "outputs")}
+    assert [line.split()[0] for line in summary_lines(early, "OUT")] == [
+        "points",
+        "time",
+        "memory",
+        "left",
+        "failed",
+    ]
+
+
+def test_plan(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    class Plan:
+        def lines(self) -> list[str]:
+            return ["inputs  1", "tiles   4"]
+
+        def to_json(self) -> dict[str, int]:
+            return {"tiles": 4}
+
+    monkeypatch.setattr("tiler.plan.make_plan", lambda inputs, config: Plan())
+    assert main(["plan", "a.laz"]) == 0
+    assert capsys.readouterr().out == "inputs  1\ntiles   4\n"
+    assert main(["plan", "a.laz", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"tiles": 4}
+
+
+def test_methods_tells_every_parameter(capsys: pytest.CaptureFixture[str]) -> None:
+    from ptd.methods import METHODS
+
+    assert main(["methods", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == set(METHODS)
+    for name, method in METHODS.items():
+        parameters = {p["name"]: p for p in told[name]["parameters"]}
+        for parameter, value in vars(method.params()).items():
+            assert parameters[parameter]["default"] == value
+            assert parameters[parameter]["help"]
+    assert main(["methods", "classic"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("classic: ")
+    assert any("iteration_angle_deg" in line and " deg " in line for line in lines)
+    assert "\x1b" not in "".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("minimum", "maximum", "text"),
+    [(None, None, ""), (0.0, None, ">= 0"), (None, 5, "<= 5"), (0.1, 89.0, "0.1 to 89")],
+)
+def test_ranges(minimum: float | None, maximum: float | None, text: str) -> None:
+    assert range_text(minimum, maximum) == text
+
+
+SCORES = {"points": 1000, "ignored": 7, "type_1": 0.0125, "type_2": None, "total": 0.01, "kappa": 0.975,
+          "unmatched_reference": 0, "unmatched_cloud": 3}  # fmt: skip
+
+
+def test_scores() -> None:
+    dtm = {"rmse": 0.1234, "bias": -0.01, "pixels": 360_000}
+    assert score_lines(SCORES, dtm) == [
+        "type I  1.25 %  (ground lost)",
+        "type II -  (objects taken for ground)",
+        "total   1.00 %  of 1,000 points, kappa 97.50 %",
+        "ignored 7 points of the classes left out",
+        "without a partner: 0 points of the reference, 3 of the cloud",
+        "DTM     RMSE 0.123 m, bias -0.010 m over 360,000 pixels",
+    ]
+
+
+def test_evaluate_asks_with_the_ignored_classes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: list[Any] = []
+
+    def evaluate_files(*arguments: Any) -> dict[str, Any]:
+        seen.append(arguments)
+        return SCORES
+
+    monkeypatch.setattr("tiler.evaluate.evaluate_files", evaluate_files)
+    from tiler.evaluate import IGNORED
+
+    assert main(["evaluate", "a.laz", "--reference", "b.laz", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == SCORES
+    assert main(["evaluate", "a.laz", "--reference", "b.laz", "--ignore", "9,7"]) == 0
+    assert seen == [("a.laz", "b.laz", IGNORED), ("a.laz", "b.laz", (7, 9))]
+
+
+def test_the_help_of_evaluate_names_the_classes_that_the_library_ignores() -> None:
+    from cli.commands.evaluate import command
+    from tiler.evaluate import IGNORED
+
+    told = next(p for p in command.params if p.name == "ignore").help  # type: ignore[attr-defined]
+    assert ",".join(str(c) for c in IGNORED) in told
+
+
+def test_facts_are_aligned_and_nested() -> None:
+    facts = {"kind": "cloud", "size_bytes": 1234567, "crs": None, "bounds": [0.5, 2.0], "classes": {"2": 10, "17": 3},
+             "has_rgb": False, "notes": []}  # fmt: skip
+    assert fact_lines(facts) == [
+        "kind        cloud",
+        "size bytes  1,234,567",
+        "bounds      0.5, 2",
+        "classes",
+        "  2   10",
+        "  17  3",
+        "has rgb     no",
+        "notes       none",
+    ]
+
+
+@pytest.mark.parametrize(("size", "text"), [(10, "10 bytes"), (1536, "1.5 KiB"), (3 << 30, "3.0 GiB")])
+def test_sizes(size: int, text: str) -> None:
+    assert size_text(size) == text

@@ -1,0 +1,224 @@
+"""Exit codes, one line for each error, and help: what scripts and people hold on to."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+
+from cli.main import COMMANDS, LazyGroup, group, main
+from tiler.errors import ConfigError, InputError, Interrupted, LockedError, ProcessingError, StoreError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def tiler(*arguments: str, **settings: Any) -> subprocess.CompletedProcess[str]:
+    """Run the command as people do, in a process of its own."""
+    command = [sys.executable, "-m", "cli.main", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False, **settings)
+
+
+def failing_plan(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    def make_plan(*arguments: Any) -> None:
+        raise error
+
+    monkeypatch.setattr("tiler.plan.make_plan", make_plan)
+
+
+class Panic(BaseException):
+    """What a library in another language raises when it gives up: no Exception."""
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (ConfigError("halo -1: must be above 0"), 2, "halo -1: must be above 0"),
+        (LockedError("OUT is locked by pid 7"), 2, "OUT is locked by pid 7"),
+        (InputError("a.laz: cut short"), 3, "a.laz: cut short"),
+        (StoreError("store.zarr: damaged"), 4, "store.zarr: damaged"),
+        (ProcessingError("disk full\nreally"), 4, "disk full really"),
+        (Interrupted("stopped"), 130, "stopped"),
+        (ValueError("odd"), 4, "unexpected ValueError: odd; the same command with -vv shows the traceback"),
+        (MemoryError(), 4, "unexpected MemoryError; the same command with -vv shows the traceback"),
+        (Panic("index"), 4, "unexpected Panic: index; the same command with -vv shows the traceback"),
+    ],
+)
+def test_errors_are_one_line_with_their_exit_code(
+    error: BaseException,
+    code: int,
+    text: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    failing_plan(monkeypatch, error)
+    assert main(["plan", "a.laz"]) == code
+    captured = capsys.readouterr()
+    assert captured.err == f"tiler: error: {text}\n"
+    assert captured.out == ""
+
+
+def test_traceback_with_vv_only(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    failing_plan(monkeypatch, InputError("a.laz: cut short"))
+    assert main(["plan", "a.laz", "-v"]) == 3
+    assert "Traceback" not in capsys.readouterr().err
+    assert main(["plan", "a.laz", "-vv"]) == 3
+    error = capsys.readouterr().err
+    assert "Traceback" in error
+    assert error.endswith("tiler: error: a.laz: cut short\n")
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), click.Abort()])
+def test_interrupt(
+    error: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    failing_plan(monkeypatch, error)
+    assert main(["plan", "a.laz"]) == 130
+    assert capsys.readouterr().err.strip() == "tiler: interrupted"
+
+    def run(*arguments: Any, **settings: Any) -> None:
+        raise error
+
+    monkeypatch.setattr("tiler.pipeline.run", run)
+    assert main(["run", "a.laz", "-o", str(tmp_path)]) == 130
+    assert capsys.readouterr().err.strip() == "tiler: interrupted; the same command goes on where it was"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_a_process_with_130(number: signal.Signals, tmp_path: Path) -> None:
+    (tmp_path / "waiting.py").write_text(
+        "import sys, time\n"
+        "from unittest import mock\n"
+        "import tiler.info\n"
+        "from cli.main import main\n"
+        "def wait(path):\n"
+        "    print('ready', flush=True)\n"
+        "    time.sleep(60)\n"
+        "with mock.patch('tiler.info.describe', wait):\n"
+        "    sys.exit(main(['info', 'x']))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, tmp_path / "waiting.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(number)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert error.strip() == "tiler: interrupted"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["run"], "Missing argument 'INPUT...'; see `tiler run --help`"),
+        (["run", "a.laz"], "Missing option '-o' / '--out'; see `tiler run --help`"),
+        (["plan", "a.laz", "--hallo"], "No such option"),
+        (["plann"], "No such command 'plann'"),
+        (["plan", "a.laz", "--workers", "two"], "Invalid value for '--workers'"),
+        (["plan", "a.laz", "--compress", "zip"], "Invalid value for '--compress'"),
+        (["plan", "a.laz", "--bounds", "1", "2", "3"], "--bounds"),
+        (["plan", "a.laz", "--workers", "0"], "workers 0: must be a whole number above 0"),
+        (["plan", "a.laz", "--resolution", "-1"], "-1"),
+        (["plan", "a.laz", "--resolution", "1furlong"], "unknown unit 'furlong'"),
+        (["plan", "a.laz", "--memory", "lots"], "'lots' is no memory size"),
+        (["plan", "a.laz", "--set", "rounds"], "--set rounds: write name=value"),
+        (["plan", "a.laz", "--keep-classes", "7,300"], "classes are 0 to 255"),
+        (["plan", "a.laz", "--bounds", "5", "0", "1", "1"], "X0 must be below X1"),
+        (["plan", "a.laz", "--config", "/nowhere/x.toml"], "/nowhere/x.toml"),
+        (["methods", "best"], "no method 'best'"),
+        (["config", "--set", "colour=red"], "no parameter 'colour'"),
+    ],
+)
+def test_usage_errors_are_one_line_and_2(
+    arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("tiler: error: ")
+    assert captured.err.count("\n") == 1
+    assert text in captured.err
+    assert captured.out == ""
+
+
+def test_without_a_command_help_and_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("Usage: tiler")
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    from tiler import __version__
+
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"tiler, version {__version__}\n"
+
+
+def test_help_lists_every_command_with_the_line_of_its_own_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    modules = {p.stem for p in (ROOT / "cli" / "commands").glob("*.py")} - {"__init__"}
+    assert modules == set(COMMANDS)
+    for name, line in COMMANDS.items():
+        assert f"  {name} " in shown
+        assert line in shown
+        command = group.get_command(click.Context(group), name)
+        assert command is not None
+        assert command.name == name
+        assert (command.help or "").strip().splitlines()[0] == line
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_says_its_default(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([name, "--help"]) == 0
+    assert f"Usage: tiler {name}" in capsys.readouterr().out
+    assert isinstance(group, LazyGroup)
+    command = group.get_command(click.Context(group), name)
+    assert command is not None
+    for option in (p for p in command.params if isinstance(p, click.Option)):
+        assert option.required or "default" in (option.help or ""), (
+            f"{name} {option.opts[0]}: no default told"
+        )
+
+
+def test_help_is_quick_and_imports_nothing_heavy() -> None:
+    script = (
+        "import sys\n"
+        "from cli.main import main\n"
+        "try:\n"
+        "    main(sys.argv[1:])\n"
+        "finally:\n"
+        "    heavy = {'numpy', 'numba', 'scipy', 'distributed', 'zarr', 'rasterio', 'laspy', 'rich', 'pyproj'}\n"
+        "    print(sorted(heavy & set(sys.modules)), file=sys.stderr)\n"
+    )
+    for arguments in (["--help"], ["run", "--help"], ["--version"]):
+        seconds = []
+        for _ in range(3):
+            start = time.perf_counter()
+            done = subprocess.run(
+                [sys.executable, "-c", script, *arguments],
+                cwd=ROOT,
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            seconds.append(time.perf_counter() - start)
+        assert done.stderr.strip() == "[]"
+        assert min(seconds) < 0.7, f"tiler {arguments}: {min(seconds):.2f} s"
+
+
+def test_as_a_process() -> None:
+    done = tiler("info", "nowhere.laz")
+    assert done.returncode == 3
+    assert done.stderr.startswith("tiler: error: nowhere.laz: ")
+    assert done.stderr.count("\n") == 1
+    assert done.stdout == ""

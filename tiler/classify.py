@@ -1,0 +1,69 @@
+"""One file in, one file out: the job up to the labels, in a scratch store that is gone afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from tiler.config import RunConfig
+from tiler.errors import ConfigError
+from tiler.export import write_classified
+from tiler.filter import LABELS
+from tiler.ingest import inspect
+from tiler.observe.events import Listener, silent
+from tiler.pipeline import run
+from tiler.plan import KEEP
+from tiler.store import open_store
+
+
+def classify_file(source: str | Path, target: str | Path, config: RunConfig | None = None, listener: Listener = silent) -> dict[str, Any]:
+    """Classify one LAS or LAZ file: same points, same order, new classes.
+
+    A file without a CRS is taken to be in metres, which is noted.
+
+    Parameters
+    ----------
+    source, target : path
+        The target is LAZ and appears under its name only when it is whole.
+    config : RunConfig
+    listener : callable
+        Told what happens, see `tiler.observe.events`.
+
+    Returns
+    -------
+    dict
+        ``points``, ``changed``, ``classes`` (class to points), ``bytes``, ``notes``, ``seconds``, ``method``, ``parameters``,
+        ``tiles``, ``marked``.
+
+    Raises
+    ------
+    TilerError
+    """
+    source, target, config = Path(source), Path(target), config or RunConfig()
+    if config.method == KEEP:
+        raise ConfigError("--method keep changes no class; `tiler run --method keep` grids what the input brings")
+    if target.suffix.lower() != ".laz":
+        raise ConfigError(f"{target}: classified clouds are written as LAZ; name it .laz")
+    if target.exists() and target.resolve() == source.resolve():
+        raise ConfigError(f"{target}: is the input; name another output")
+    if not source.exists():
+        raise ConfigError(f"{source}: no such file")
+    info = inspect(source, config.salvage)
+    if info.georeference.kind == "missing" and config.crs is None:
+        listener("note", {"text": f"{source}: has no CRS; metres are assumed, --units or --crs say otherwise"})
+        config = config.updated(crs="none")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".tiler-", dir=target.parent) as scratch:
+        summary = run([str(source)], scratch, config.updated(store=None), listener, until="filter").summary
+        store = open_store(str(Path(scratch) / "store.zarr"))
+        record = write_classified(
+            store.url,
+            {"path": str(source), "source": 0, "out": str(target), "labels": LABELS, "salvage": config.salvage,
+             "cells": [[cell.ix, cell.iy] for cell in store.buckets()]},
+        )  # fmt: skip
+    return {
+        **record, "seconds": summary["seconds"], "method": config.method,
+        "parameters": summary["plan"]["parameters"], "tiles": summary["filter"]["tiles"],
+        "marked": summary["filter"]["marked"],
+    }  # fmt: skip
