@@ -16,7 +16,9 @@ DENSE_CELLS_PER_POINT = 16
 
 
 @kernel
-def cell_keys(x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, width: int) -> Int64:
+def cell_keys(
+    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, width: int
+) -> Int64:
     """``row * width + column`` of each point, relative to (col0, row0): int64 [n]."""
     out = np.empty(x.size, np.int64)
     for i in range(x.size):

@@ -25,7 +25,9 @@ UInt8 = npt.NDArray[np.uint8]
 
 
 @kernel
-def _mark_places(mask: UInt8, west: int, south: int, cell: int, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]) -> bool:
+def _mark_places(
+    mask: UInt8, west: int, south: int, cell: int, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]
+) -> bool:
     """Put the places of the chosen points in doubt; whether that was new for any of them."""
     changed = False
     for i in range(x.size):
@@ -39,7 +41,18 @@ def _mark_places(mask: UInt8, west: int, south: int, cell: int, x: Int32Array, y
 
 
 @kernel
-def _circle_in_doubt(bx: float, by: float, cx: float, cy: float, ax: float, ay: float, west: float, south: float, cell: float, free: Float32) -> bool:
+def _circle_in_doubt(
+    bx: float,
+    by: float,
+    cx: float,
+    cy: float,
+    ax: float,
+    ay: float,
+    west: float,
+    south: float,
+    cell: float,
+    free: Float32,
+) -> bool:
     """Whether the circle through a, a + b, a + c may hold a place in doubt (rarely a wrong yes, never a wrong no)."""
     area = 2.0 * (bx * cy - by * cx)
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
@@ -57,7 +70,16 @@ def _circle_in_doubt(bx: float, by: float, cx: float, cy: float, ax: float, ay: 
 
 
 @kernel
-def _doubtful_triangles(vertices: Int32Array, triangles: Int32Array, n: int, west: int, south: int, cell: int, free: Float32, out: UInt8) -> None:
+def _doubtful_triangles(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    n: int,
+    west: int,
+    south: int,
+    cell: int,
+    free: Float32,
+    out: UInt8,
+) -> None:
     for t in range(n):
         if is_ghost(triangles, t):
             out[t] = 1
@@ -105,7 +127,10 @@ class Doubt:
     def add_box(self, west: int, south: int, east: int, north: int) -> None:
         """Put a half-open rectangle of local counts in doubt."""
         c0, r0 = max((west - self.west) // self.cell, 0), max((south - self.south) // self.cell, 0)
-        c1, r1 = max((east - 1 - self.west) // self.cell + 1, 0), max((north - 1 - self.south) // self.cell + 1, 0)
+        c1, r1 = (
+            max((east - 1 - self.west) // self.cell + 1, 0),
+            max((north - 1 - self.south) // self.cell + 1, 0),
+        )
         self.mask[r0:r1, c0:c1] = 1
         self._stale = True
 

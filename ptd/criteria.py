@@ -39,7 +39,16 @@ class Limits(NamedTuple):
     z_ratio: float
 
     @classmethod
-    def of(cls, scale: Scale, *, distance_m: float, angle_deg: float, terrain_deg: float, reduce_m: float = 0.0, stop_m: float = 0.0) -> Limits:
+    def of(
+        cls,
+        scale: Scale,
+        *,
+        distance_m: float,
+        angle_deg: float,
+        terrain_deg: float,
+        reduce_m: float = 0.0,
+        stop_m: float = 0.0,
+    ) -> Limits:
         """From metres and degrees."""
         return cls(
             scale.counts(distance_m), math.radians(angle_deg), math.cos(math.radians(terrain_deg)) ** 2,
@@ -48,7 +57,9 @@ class Limits(NamedTuple):
 
 
 @kernel
-def facet_measures(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float) -> tuple[float, float, float, float]:
+def facet_measures(
+    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float
+) -> tuple[float, float, float, float]:
     """How a point lies to a real facet.
 
     Everything is computed relative to the facet's lexicographically smallest corner and in one order of the corners, so
@@ -67,8 +78,16 @@ def facet_measures(vertices: Int32Array, triangles: Int32Array, t: int, x: int, 
     """
     a, b, c = canonical_facet(vertices, triangles, t)
     ax, ay, az = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
-    bx, by, bz = float(vertices[4 * b] - ax), float(vertices[4 * b + 1] - ay), (vertices[4 * b + 2] - az) * z_ratio
-    cx, cy, cz = float(vertices[4 * c] - ax), float(vertices[4 * c + 1] - ay), (vertices[4 * c + 2] - az) * z_ratio
+    bx, by, bz = (
+        float(vertices[4 * b] - ax),
+        float(vertices[4 * b + 1] - ay),
+        (vertices[4 * b + 2] - az) * z_ratio,
+    )
+    cx, cy, cz = (
+        float(vertices[4 * c] - ax),
+        float(vertices[4 * c + 1] - ay),
+        (vertices[4 * c + 2] - az) * z_ratio,
+    )
     px, py, pz = float(x - ax), float(y - ay), (z - az) * z_ratio
     nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     n2 = nx * nx + ny * ny + nz * nz
@@ -114,7 +133,9 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
 
 
 @kernel
-def accepts(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, limits: Limits) -> tuple[bool, int]:
+def accepts(
+    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, limits: Limits
+) -> tuple[bool, int]:
     """Axelsson's test of a point that lies in triangle t.
 
     Returns

@@ -24,7 +24,21 @@ WAITING, VERTEX, REFUSED = 0, 1, 2
 
 
 @kernel
-def _test_round(vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: Int32, state: UInt8, home: Int32, again: npt.NDArray[np.bool_], doubtful: npt.NDArray[np.bool_], in_doubt: UInt8, limits: Limits, stamp: int, chosen: Int32) -> int:
+def _test_round(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    state: UInt8,
+    home: Int32,
+    again: npt.NDArray[np.bool_],
+    doubtful: npt.NDArray[np.bool_],
+    in_doubt: UInt8,
+    limits: Limits,
+    stamp: int,
+    chosen: Int32,
+) -> int:
     """Test the candidates whose triangle changed since their last test; `chosen` receives those that pass.
 
     A triangle changed by the insertions of the last round carries its stamp, ``stamp - 1``. A candidate whose answer
@@ -56,7 +70,17 @@ def _test_round(vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32,
 
 
 @kernel
-def insert_points(vertices: Int32Array, triangles: Int32Array, counters: Int32Array, x: Int32, y: Int32, z: Int32, home: Int32, chosen: Int32, stamp: int) -> None:
+def insert_points(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    home: Int32,
+    chosen: Int32,
+    stamp: int,
+) -> None:
     """Insert the chosen points; `home` holds a triangle near each, or -1."""
     hint = np.int64(0)
     for k in range(chosen.size):
@@ -67,7 +91,17 @@ def insert_points(vertices: Int32Array, triangles: Int32Array, counters: Int32Ar
         hint = np.int64(max(vertices[4 * v + 3], 0))
 
 
-def densify(tin: Tin, x: Int32, y: Int32, z: Int32, state: UInt8, limits: Limits, rounds: int, doubt: Doubt, stop: Callable[[], bool] | None = None) -> tuple[npt.NDArray[np.bool_], int]:
+def densify(
+    tin: Tin,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    state: UInt8,
+    limits: Limits,
+    rounds: int,
+    doubt: Doubt,
+    stop: Callable[[], bool] | None = None,
+) -> tuple[npt.NDArray[np.bool_], int]:
     """Batch rounds until nothing passes any more, or `rounds` of them.
 
     Parameters
@@ -101,7 +135,19 @@ def densify(tin: Tin, x: Int32, y: Int32, z: Int32, state: UInt8, limits: Limits
         stamp += 1
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, int(tin.counters[N_TRIANGLES]))
         n = _test_round(
-            tin.vertex_array, tin.triangle_array, x, y, z, state, home, again, doubtful, in_doubt, limits, stamp, room
+            tin.vertex_array,
+            tin.triangle_array,
+            x,
+            y,
+            z,
+            state,
+            home,
+            again,
+            doubtful,
+            in_doubt,
+            limits,
+            stamp,
+            room,
         )
         doubt.add_points(x, y, doubtful)
         if n == 0:

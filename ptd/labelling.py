@@ -20,7 +20,9 @@ GRID_CELLS_PER_VERTEX = 2
 
 
 @kernel
-def _start_grid(vertices: Int32Array, n: int, west: int, south: int, cell: int, height: int, width: int) -> Int32:
+def _start_grid(
+    vertices: Int32Array, n: int, west: int, south: int, cell: int, height: int, width: int
+) -> Int32:
     """A triangle near each cell of a raster: int32 [height * width]."""
     grid = np.full(height * width, -1, np.int32)
     for v in range(n):
@@ -42,13 +44,34 @@ class Locator:
         xy = tin.vertex_array[: 4 * n].reshape(-1, 4)
         self.west, self.south = int(xy[:, 0].min()), int(xy[:, 1].min())
         wide, high = int(xy[:, 0].max()) - self.west + 1, int(xy[:, 1].max()) - self.south + 1
-        self.cell = max(int(np.sqrt(wide * high / (GRID_CELLS_PER_VERTEX * n))), (wide + high) // (8 * n + 64) + 1)
+        self.cell = max(
+            int(np.sqrt(wide * high / (GRID_CELLS_PER_VERTEX * n))), (wide + high) // (8 * n + 64) + 1
+        )
         self.width, self.height = wide // self.cell + 1, high // self.cell + 1
-        self.grid = _start_grid(tin.vertex_array, n, self.west, self.south, self.cell, self.height, self.width)
+        self.grid = _start_grid(
+            tin.vertex_array, n, self.west, self.south, self.cell, self.height, self.width
+        )
 
 
 @kernel
-def _label(vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: Int32, grid: Int32, west: int, south: int, cell: int, height: int, width: int, in_doubt: UInt8, limits: Limits, floor: float, labels: UInt8, marked: npt.NDArray[np.bool_]) -> None:
+def _label(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    grid: Int32,
+    west: int,
+    south: int,
+    cell: int,
+    height: int,
+    width: int,
+    in_doubt: UInt8,
+    limits: Limits,
+    floor: float,
+    labels: UInt8,
+    marked: npt.NDArray[np.bool_],
+) -> None:
     for i in range(x.size):
         column = min(max((x[i] - west) // cell, 0), width - 1)
         row = min(max((y[i] - south) // cell, 0), height - 1)
@@ -62,7 +85,9 @@ def _label(vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: I
             if float(z[i] - vertices[4 * v + 2]) * limits.z_ratio <= floor:
                 labels[i] = 2
             continue
-        distance, _nearest, _cos2, _edge = facet_measures(vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio)
+        distance, _nearest, _cos2, _edge = facet_measures(
+            vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio
+        )
         if abs(distance) <= floor:
             labels[i] = 2
             continue
@@ -73,7 +98,9 @@ def _label(vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: I
             labels[i] = 2
 
 
-def label_points(tin: Tin, locator: Locator, x: Int32, y: Int32, z: Int32, in_doubt: UInt8, limits: Limits, floor: float) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+def label_points(
+    tin: Tin, locator: Locator, x: Int32, y: Int32, z: Int32, in_doubt: UInt8, limits: Limits, floor: float
+) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Ground or not, against the finished TIN.
 
     Ours, not the papers': there, what lies in facets that take no more vertices is lost as type I. The rule is the one of

@@ -32,7 +32,9 @@ def check(params: Any) -> None:
         value = getattr(params, spec.name)
         low, high = spec.metadata["minimum"], spec.metadata["maximum"]
         if isinstance(spec.default, bool) != isinstance(value, bool):
-            raise ValueError(f"{spec.name} {value!r}: must be {'true or false' if spec.default in (True, False) else 'a number'}")
+            raise ValueError(
+                f"{spec.name} {value!r}: must be {'true or false' if spec.default in (True, False) else 'a number'}"
+            )
         below = low is not None and not value >= low
         if below or (high is not None and not value <= high):
             unit = f" {spec.metadata['unit']}" if spec.metadata["unit"] else ""

@@ -32,7 +32,17 @@ class Seeds:
     virtual: Int32
 
 
-def choose_seeds(x: Int32, y: Int32, z: Int32, eligible: npt.NDArray[np.bool_], doubtful: npt.NDArray[np.bool_], cells: Cells, window: Window, reach: int, doubt: Doubt) -> Seeds:
+def choose_seeds(
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    eligible: npt.NDArray[np.bool_],
+    doubtful: npt.NDArray[np.bool_],
+    cells: Cells,
+    window: Window,
+    reach: int,
+    doubt: Doubt,
+) -> Seeds:
     """Lowest eligible point per cell of a lattice anchored at CRS coordinate 0, and the ring around them.
 
     Parameters
@@ -87,7 +97,9 @@ def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
     return added
 
 
-def _doubt_cells(filled: set[tuple[int, int]], virtual: set[tuple[int, int]], cells: Cells, known: Window, doubt: Doubt) -> None:
+def _doubt_cells(
+    filled: set[tuple[int, int]], virtual: set[tuple[int, int]], cells: Cells, known: Window, doubt: Doubt
+) -> None:
     """Cells that are not wholly known, and virtual ones whose height came from such a cell."""
 
     def box(cell: tuple[int, int]) -> tuple[int, int, int, int]:
@@ -107,6 +119,9 @@ def box_with_ring(x: Int32, y: Int32, cells: Cells) -> tuple[int, int, int, int]
     """West, south, east, north (local counts) of the data and of the virtual cells around them."""
     c0, c1 = cells.column(int(x.min())), cells.column(int(x.max()))
     r0, r1 = cells.row(int(y.min())), cells.row(int(y.max()))
-    return cells.west(c0 - RING), cells.south(r0 - RING), cells.west(c1 + RING + 1), cells.south(r1 + RING + 1)
-
-
+    return (
+        cells.west(c0 - RING),
+        cells.south(r0 - RING),
+        cells.west(c1 + RING + 1),
+        cells.south(r1 + RING + 1),
+    )

@@ -17,7 +17,9 @@ from tiler.plan import KEEP
 from tiler.store import open_store
 
 
-def classify_file(source: str | Path, target: str | Path, config: RunConfig | None = None, listener: Listener = silent) -> dict[str, Any]:
+def classify_file(
+    source: str | Path, target: str | Path, config: RunConfig | None = None, listener: Listener = silent
+) -> dict[str, Any]:
     """Classify one LAS or LAZ file: same points, same order, new classes.
 
     A file without a CRS is taken to be in metres, which is noted.
@@ -42,7 +44,9 @@ def classify_file(source: str | Path, target: str | Path, config: RunConfig | No
     """
     source, target, config = Path(source), Path(target), config or RunConfig()
     if config.method == KEEP:
-        raise ConfigError("--method keep changes no class; `tiler run --method keep` grids what the input brings")
+        raise ConfigError(
+            "--method keep changes no class; `tiler run --method keep` grids what the input brings"
+        )
     if target.suffix.lower() != ".laz":
         raise ConfigError(f"{target}: classified clouds are written as LAZ; name it .laz")
     if target.exists() and target.resolve() == source.resolve():
@@ -51,7 +55,9 @@ def classify_file(source: str | Path, target: str | Path, config: RunConfig | No
         raise ConfigError(f"{source}: no such file")
     info = inspect(source, config.salvage)
     if info.georeference.kind == "missing" and config.crs is None:
-        listener("note", {"text": f"{source}: has no CRS; metres are assumed, --units or --crs say otherwise"})
+        listener(
+            "note", {"text": f"{source}: has no CRS; metres are assumed, --units or --crs say otherwise"}
+        )
         config = config.updated(crs="none")
     target.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".tiler-", dir=target.parent) as scratch:

@@ -26,7 +26,9 @@ def perform(store_url: str, task: Task) -> Outcome:
         record = task.work(store_url, task.arguments)
         open_store(store_url).commit(task.stage, task.key, task.digest, record)
     except TilerError as error:
-        return Outcome(task, None, str(error), type(error).__name__, time.monotonic() - start, peak_rss_bytes())
+        return Outcome(
+            task, None, str(error), type(error).__name__, time.monotonic() - start, peak_rss_bytes()
+        )
     except Exception as error:  # noqa: BLE001 - whatever a task dies of is recorded, and the others go on
         where = traceback.extract_tb(error.__traceback__)[-1]
         text = f"{type(error).__name__}: {error} ({where.filename.rsplit('/', 1)[-1]}:{where.lineno})"

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from importlib.metadata import version
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ptd.methods import METHODS
+from ptd.warm import warm_filters, warm_gridding
 from tiler import __version__
 from tiler.config import RunConfig
 from tiler.core.lattice import Cell
@@ -35,8 +36,8 @@ from tiler.tasks import (
     assemble_tasks,
     classified_tasks,
     cog_task,
-    fragments_of,
     filter_tasks,
+    fragments_of,
     grid_tasks,
     label_digests,
     raster_spec,
@@ -47,6 +48,7 @@ STAGES = ("ingest", "filter", "grid", "export")
 LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
 HASH_PIECE = 1 << 22
 
+Warm = Callable[[Callable[[], None]], None]
 Commits = dict[str, tuple[str, dict[str, Any]]]
 
 
@@ -88,16 +90,28 @@ class Job:
         """Tell people what was decided for them."""
         self.listener("note", {"text": text})
 
-    def perform(self, stage: str, tasks: Iterable[Task]) -> Commits:
-        """Do what is not done yet of a stage; commits of all its tasks that succeeded."""
+    def perform(self, stage: str, tasks: Iterable[Task], warm: Warm | None = None) -> Commits:
+        """Do what is not done yet of a stage; commits of all its tasks that succeeded.
+
+        ``warm`` compiles the kernels of the stage, here and once, before local workers would each do so.
+        """
         wanted = {task.key: task for task in tasks}
-        done = {k: c for k, c in self.store.committed(stage).items() if k in wanted and c[0] == wanted[k].digest}
+        done = {
+            k: c for k, c in self.store.committed(stage).items() if k in wanted and c[0] == wanted[k].digest
+        }
         for stale in self.store.committed(stage).keys() - done.keys():
             self.store.uncommit(stage, stale)
         todo = [task for key, task in wanted.items() if key not in done]
-        info = {"stage": stage, "tasks": len(wanted), "done": len(done), "points": sum(t.points for t in todo)}
+        info = {
+            "stage": stage,
+            "tasks": len(wanted),
+            "done": len(done),
+            "points": sum(t.points for t in todo),
+        }
         self.listener("stage_started", info)
         start, cpu_peak = time.monotonic(), 0
+        if todo and warm is not None and self.plan.config.scheduler is None:
+            warm(lambda: self.note("compiling kernels (once on this machine)"))
         if todo and self.executor is None:
             self.executor = make_executor(self.plan.workers, self.plan.config.scheduler)
         for outcome in self.executor.run(perform, self.store.url, todo) if todo and self.executor else ():
@@ -121,11 +135,18 @@ class Job:
                  "peak_rss_bytes": outcome.peak_rss_bytes},
             )  # fmt: skip
             return
-        failure = {"stage": task.stage, "key": task.key, "error": outcome.error or "", "kind": outcome.error_kind or ""}
+        failure = {
+            "stage": task.stage,
+            "key": task.key,
+            "error": outcome.error or "",
+            "kind": outcome.error_kind or "",
+        }
         self.listener("task_failed", dict(failure))
         self.failed.append(failure)
         if self.plan.config.on_error == "stop":
-            raise ProcessingError(f"{task.stage} {task.key}: {outcome.error}; --on-error skip goes on without it")
+            raise ProcessingError(
+                f"{task.stage} {task.key}: {outcome.error}; --on-error skip goes on without it"
+            )
 
     def save(self, state: str) -> dict[str, Any]:
         """Write run.json and return its content."""
@@ -185,7 +206,13 @@ def run(
 
 
 def _locked_run(
-    plan: Plan, store: TileStore, out: Path, listener: Listener, until: str, names: dict[Path, Path], started: float
+    plan: Plan,
+    store: TileStore,
+    out: Path,
+    listener: Listener,
+    until: str,
+    names: dict[Path, Path],
+    started: float,
 ) -> RunResult:
     """The run itself, by the one process that holds the store."""
     for text in plan.notes:
@@ -248,7 +275,9 @@ def _content_digest(path: Path) -> str:
             while part := stream.read(HASH_PIECE):
                 digest.update(part)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); see to the disk and its rights") from error
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); see to the disk and its rights"
+        ) from error
     return digest.hexdigest()
 
 
@@ -272,14 +301,21 @@ def _spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
         dropped.update(record["dropped"])
     read, stored = sum(r["read"] for r in records), sum(r["stored"] for r in records)
     rounding = max(r["largest_rounding"] for r in records)
-    job.facts["counts"] = {"read": read, "stored": stored, "dropped": dict(dropped), "largest_rounding": rounding}
+    job.facts["counts"] = {
+        "read": read,
+        "stored": stored,
+        "dropped": dict(dropped),
+        "largest_rounding": rounding,
+    }
     job.facts["inputs"] = [_input_facts(s, spooled) for s in sources]
     if rounding > 0:
         job.note(f"coordinates were rounded to counts for filtering, by {rounding:.3g} CRS units at most")
     for reason, count in dropped.items():
         job.note(f"{count:,} points dropped: {reason}")
     if stored == 0:
-        raise InputError(f"all {read:,} points were dropped ({', '.join(dropped)}): nothing to make a terrain of")
+        raise InputError(
+            f"all {read:,} points were dropped ({', '.join(dropped)}): nothing to make a terrain of"
+        )
     return spooled, good
 
 
@@ -294,12 +330,16 @@ def _input_facts(source: Source, spooled: Commits) -> dict[str, Any]:
 def _assemble(job: Job, spooled: Commits) -> Assembled:
     """Points into buckets; tell of duplicates and of what takes no part."""
     fragments = fragments_of(spooled)
-    job.store.allocate({cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()})
+    job.store.allocate(
+        {cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()}
+    )
     tasks = list(assemble_tasks(job.plan, spooled, fragments))
     commits = job.perform("assemble", tasks)
     assembled = Assembled.of(commits)
     if len(commits) < len(tasks):
-        raise ProcessingError(f"{len(tasks) - len(commits)} buckets could not be written: {job.failed[-1]['error']}")
+        raise ProcessingError(
+            f"{len(tasks) - len(commits)} buckets could not be written: {job.failed[-1]['error']}"
+        )
     job.store.publish_index({c: BucketInfo(r["n"], r["n_candidates"]) for c, r in assembled.records.items()})
     within = sum(r["duplicates"]["within"] for r in assembled.records.values())
     between = sum(r["duplicates"]["between"] for r in assembled.records.values())
@@ -322,7 +362,7 @@ def _filter(job: Job, assembled: Assembled) -> dict[Cell, str]:
     filtered: Commits = {}
     for number, step in enumerate(passes):
         tasks = list(filter_tasks(job.plan, assembled, number, state))
-        filtered = job.perform(f"filter{number}", tasks)
+        filtered = job.perform(f"filter{number}", tasks, warm_filters)
         if not filtered:
             raise ProcessingError(f"no tile could be filtered; the first: {job.failed[0]['error']}")
         state = step.reduce((record["partial"] for _, record in filtered.values()), state)
@@ -338,9 +378,15 @@ def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[s
     names = ("points", "ground", "low_noise", "unclassified", "kept", "marked")
     again = sum(r["tries"] > 1 for r in records)
     facts: dict[str, Any] = {name: total(name) for name in names}
-    facts |= {"tiles": tiles, "tiles_done_again": again, "overlap_work": total("window_area") / max(total("core_area"), 1)}
+    facts |= {
+        "tiles": tiles,
+        "tiles_done_again": again,
+        "overlap_work": total("window_area") / max(total("core_area"), 1),
+    }
     if facts["marked"]:
-        job.note(f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them")
+        job.note(
+            f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them"
+        )
     return facts
 
 
@@ -353,7 +399,7 @@ def _grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> tuple[Rast
     for block in spec.blocks(GRID_BLOCK):
         if block.name in unused:
             job.store.write_block(name, block, np.full((block.height, block.width), NODATA, np.float32))
-    gridded = job.perform(f"grid-{name}", tasks)
+    gridded = job.perform(f"grid-{name}", tasks, warm_gridding)
     if tasks and not gridded:
         raise ProcessingError(f"no block could be gridded; the first: {job.failed[0]['error']}")
     records = [record for _, record in gridded.values()]
@@ -366,19 +412,32 @@ def _grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> tuple[Rast
     return spec, gridded
 
 
-def _export(job: Job, spec: RasterSpec, gridded: Commits, sources: list[Source], spooled: Commits, labels: dict[Cell, str], names: dict[Path, Path]) -> None:
+def _export(
+    job: Job,
+    spec: RasterSpec,
+    gridded: Commits,
+    sources: list[Source],
+    spooled: Commits,
+    labels: dict[Cell, str],
+    names: dict[Path, Path],
+) -> None:
     """The files that people open."""
     out = job.out.resolve()
     digest = digest_of(sorted(source.content for source in sources))
     tasks = [cog_task(job.plan, spec, gridded, digest, out, "dtm")]
     if job.plan.config.method != KEEP:
         tasks += classified_tasks(job.plan, sources, spooled, labels, names, out)
-    files = {t.key: Path(t.arguments["out"]) / t.key if t.key.endswith(".tif") else Path(t.arguments["out"]) for t in tasks}
+    files = {
+        t.key: Path(t.arguments["out"]) / t.key if t.key.endswith(".tif") else Path(t.arguments["out"])
+        for t in tasks
+    }
     for key, (_, record) in job.store.committed("export").items():
         if key in files and not (files[key].exists() and files[key].stat().st_size == record["bytes"]):
             job.store.uncommit("export", key)
     exported = job.perform("export", tasks)
-    job.facts["outputs"] = {str(files[k].relative_to(out)): record["bytes"] for k, (_, record) in exported.items()}
+    job.facts["outputs"] = {
+        str(files[k].relative_to(out)): record["bytes"] for k, (_, record) in exported.items()
+    }
     for _, record in exported.values():
         for text in record.get("notes", ()):
             job.note(text)
@@ -411,7 +470,9 @@ def _make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"-o {out}: cannot be made ({error.strerror}); name a folder that can be written") from error
+        raise ConfigError(
+            f"-o {out}: cannot be made ({error.strerror}); name a folder that can be written"
+        ) from error
 
 
 def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
@@ -428,7 +489,9 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
             "use --overwrite or another -o"
         )
     if new.has_rgb and not old.has_rgb:
-        raise ConfigError(f"{url}: was made without colours, the inputs have some; use --overwrite or another -o")
+        raise ConfigError(
+            f"{url}: was made without colours, the inputs have some; use --overwrite or another -o"
+        )
     settled = store.get_state("settled") or {}
     config = plan.config
     tile = config.tile_size or Fraction(settled.get("tile", str(plan.tile)))

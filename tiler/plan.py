@@ -30,18 +30,22 @@ BUCKET_POINTS = 100_000
 BUCKETS_M = (8, 16, 32, 64, 128)
 TILE_M = 512
 GRID_BLOCK = 512
-GRID_HALO_M = 101
-"""A little more than the limit of a facet's edges by default, with which a block seldom needs more."""
 MAX_HALO_FACTOR = 4
-BASE_BYTES = 330 << 20
+BASE_BYTES = 260 << 20
 """Of a worker before the first point: the interpreter and the libraries."""
-CANDIDATE_BYTES = 260
-"""Of a candidate in a window: columns, sorting, its share of the TIN."""
+READ_BYTES = 60
+"""Of a candidate that a window reads: columns, sorting."""
+VERTEX_BYTES = 200
+"""Of a candidate that may become a vertex: its columns while it is tested, its share of the TIN."""
 BUCKET_POINT_BYTES = 200
 """Of a point while its bucket is assembled or labelled."""
 PIECE_POINTS = 1_000_000
-GROUND_BYTES = 150
+GROUND_BYTES = 200
 """Of a ground point in a block's window: coordinates and the TIN."""
+MAX_GROUND = 4_000_000
+"""Points that the window of a part of a block may hold by the plan; denser clouds give one per quarter pixel, run-wide."""
+PART = 128
+"""Pixels a side of the parts into which blocks are divided where points are many."""
 STORED_BYTES = 24
 """Of a point on disk in the store, spool included, compressed; measured on a city."""
 MAX_DENOMINATOR = 511
@@ -74,6 +78,7 @@ class Plan:
     halo_m: float
     memory: int
     workers: int
+    candidate_cell_m: float
     passes: int
     points: int
     area_m2: float
@@ -87,6 +92,21 @@ class Plan:
         return self.points / self.area_m2 if self.area_m2 else 0.0
 
     @property
+    def grid_halo(self) -> Fraction:
+        """Metres around a block with which it seldom needs more: a little more than the limit of a facet's edges."""
+        return self.config.max_edge * Fraction(101, 100)
+
+    @property
+    def thin_ground(self) -> bool:
+        """Only one ground point per quarter pixel makes the surface."""
+        return self.density * (PART * float(self.resolution) + 2 * float(self.grid_halo)) ** 2 > MAX_GROUND
+
+    @property
+    def block_points(self) -> int:
+        """Points in the window of a block above which it is done in parts."""
+        return max((self.memory - BASE_BYTES) // GROUND_BYTES, MAX_GROUND // 8)
+
+    @property
     def overlap(self) -> float:
         """Padded area over core area of a filter tile."""
         return float(((self.tile + 2 * Fraction(self.halo_m)) / self.tile) ** 2)
@@ -98,14 +118,17 @@ class Plan:
 
     def projected_memory(self) -> dict[str, int]:
         """Peak bytes of a worker by stage."""
-        fine = min(self.density, 1.0 / float(self.meta.fine.size * self.meta.frame.metres_xy) ** 2)
+        fine = candidate_density(self.density, self.candidate_cell_m)
         window = (float(self.tile) + 2 * self.halo_m) ** 2
         bucket = self.density * float(self.meta.bucket.size * self.meta.frame.metres_xy) ** 2
-        block = (GRID_BLOCK * float(self.resolution) + 2 * GRID_HALO_M) ** 2
         return {
             "ingest": int(BASE_BYTES + max(PIECE_POINTS * 160, bucket * BUCKET_POINT_BYTES * 4)),
-            "filter": int(BASE_BYTES + fine * window * CANDIDATE_BYTES + bucket * BUCKET_POINT_BYTES),
-            "grid": int(BASE_BYTES + min(self.density * block, self.points) * GROUND_BYTES),
+            "filter": int(
+                BASE_BYTES
+                + min(fine * window, self.points) * candidate_bytes(self.candidate_cell_m)
+                + bucket * BUCKET_POINT_BYTES
+            ),
+            "grid": BASE_BYTES + min(self.points, self.block_points) * GROUND_BYTES,
         }
 
     def projected_disk(self) -> int:
@@ -202,12 +225,14 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     )  # fmt: skip
     memory = config.memory or min(1 << 30, psutil.virtual_memory().total // (4 * (psutil.cpu_count() or 1)))
     halo = float(config.halo) if config.halo is not None else defaults.halo_m if defaults else 0.0
-    tile = config.tile_size or _tile(memory, min(density, float(1 / FINE_CELL_M**2)), halo, meta)
+    cell = defaults.candidate_cell_m if defaults else 0.0
+    need = candidate_density(density, cell) * candidate_bytes(cell)
+    tile = config.tile_size or _tile(memory, need, halo, meta)
     warnings = _warnings(filled, agreement.units, tile, halo)
     plan = Plan(
         config, tuple(sources), tuple(unreadable), meta, limits, parameters,
         _resolution(config, density, notes), tile, halo, memory, config.workers or psutil.cpu_count() or 1,
-        len(defaults.passes) if defaults else 0, points, area, limits or extent, tuple(notes), tuple(warnings),
+        defaults.candidate_cell_m if defaults else 0.0, len(defaults.passes) if defaults else 0, points, area, limits or extent, tuple(notes), tuple(warnings),
     )  # fmt: skip
     _refuse(plan, out)
     return plan
@@ -251,7 +276,10 @@ def _extent(sources: Sequence[SourceInfo], metres: float) -> tuple[Bounds, float
         assert source.bounds is not None  # the caller's choice
         x0, y0, _, x1, y1, _ = source.bounds
         area += max(x1 - x0, 1.0) * max(y1 - y0, 1.0) * metres**2
-        low, high = (math.floor(v * COUNTS_PER_UNIT) for v in (x0, y0)), (math.ceil(v * COUNTS_PER_UNIT) for v in (x1, y1))
+        low, high = (
+            (math.floor(v * COUNTS_PER_UNIT) for v in (x0, y0)),
+            (math.ceil(v * COUNTS_PER_UNIT) for v in (x1, y1)),
+        )
         bounds = Bounds(*low, *(v + 1 for v in high))
         union = bounds if union is None else union.union(bounds)
     assert union is not None  # at least one source
@@ -270,10 +298,22 @@ def _bucket_m(density: float) -> int:
     return min(BUCKETS_M, key=lambda b: abs(math.log(b / side)))
 
 
-def _tile(memory: int, density: float, halo_m: float, meta: StoreMeta) -> Fraction:
-    """Largest tile, at most `TILE_M`, whose window uses half of the memory that is left after start-up."""
-    budget = max(memory - BASE_BYTES, memory // 4) / 2
-    side = math.sqrt(budget / CANDIDATE_BYTES / density) - 2 * halo_m
+def candidate_density(density: float, cell_m: float) -> float:
+    """Candidates per square metre that a window reads, for a method that wants one per cell of ``cell_m``."""
+    nested = cell_m > 0 and (Fraction(repr(float(cell_m))) / FINE_CELL_M).denominator == 1
+    return min(density, float(1 / FINE_CELL_M**2)) if nested else density
+
+
+def candidate_bytes(cell_m: float) -> float:
+    """Bytes of memory for each of them."""
+    share = min(float(FINE_CELL_M) ** 2 / cell_m**2, 1.0) if cell_m > 0 else 1.0
+    return READ_BYTES + VERTEX_BYTES * share
+
+
+def _tile(memory: int, bytes_per_m2: float, halo_m: float, meta: StoreMeta) -> Fraction:
+    """Largest tile, at most `TILE_M`, whose window uses three quarters of the memory left after start-up."""
+    budget = max(memory - BASE_BYTES, memory // 4) * 3 / 4
+    side = math.sqrt(budget / bytes_per_m2) - 2 * halo_m
     bucket = meta.bucket.size * meta.frame.metres_xy
     return max(min(Fraction(TILE_M), Fraction(max(side, 0.0))) // bucket, 1) * bucket
 
@@ -286,7 +326,9 @@ def _resolution(config: RunConfig, density: float, notes: list[str]) -> Fraction
     if spacing <= 1.05:
         return Fraction(1)
     resolution = Fraction(math.ceil(2 * spacing), 2)
-    notes.append(f"resolution {float(resolution):g} m: the points are {spacing:.2g} m apart; --resolution overrides")
+    notes.append(
+        f"resolution {float(resolution):g} m: the points are {spacing:.2g} m apart; --resolution overrides"
+    )
     return resolution
 
 
@@ -304,7 +346,9 @@ def _warnings(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo: f
         side = max(min(x1 - x0, y1 - y0), 1.0) * float(units.horizontal)
         rise = (z1 - z0) * float(units.vertical)
         if side > 50 and rise > 2 * side:
-            found.append(f"{source.path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v")
+            found.append(
+                f"{source.path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
+            )
     overlap = float(((tile + 2 * Fraction(halo)) / tile) ** 2)
     if overlap > 2:
         found.append(
@@ -321,7 +365,8 @@ def _refuse(plan: Plan, out: Path | None) -> None:
         smaller = float(plan.meta.bucket.size * plan.meta.frame.metres_xy)
         raise ConfigError(
             f"{worst} needs {memory[worst] / 2**20:,.0f} MiB a worker, {plan.memory / 2**20:,.0f} MiB are allowed; "
-            f"use --memory {memory[worst] // 2**20 + 1}MiB" + (f" or --tile-size {smaller:g}" if worst == "filter" else "")
+            f"use --memory {memory[worst] // 2**20 + 1}MiB"
+            + (f" or --tile-size {smaller:g}" if worst == "filter" else "")
         )
     pixel = plan.meta.frame.counts(plan.resolution)
     if pixel.denominator > MAX_DENOMINATOR:

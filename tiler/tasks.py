@@ -16,21 +16,17 @@ from typing import Any
 
 from tiler import __version__
 from tiler.core.classes import OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
-from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
 from tiler.export import write_classified, write_cog
 from tiler.filter import LABELS, filter_tile
 from tiler.grid import full_halo, grid_block
 from tiler.ingest import SourceInfo, assemble_buckets, pieces, spool_piece
-from tiler.plan import GRID_BLOCK, GRID_HALO_M, KEEP, MAX_HALO_FACTOR, PIECE_POINTS, Plan
+from tiler.plan import GRID_BLOCK, KEEP, MAX_HALO_FACTOR, PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
 
 GROUP = 4
 """Buckets a side that one assembly task writes."""
-
-MAX_GROUND = 4_000_000
-"""Ground points that a block's TIN may hold by the plan; denser clouds give one point per quarter pixel, run-wide."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,11 @@ class Source:
 def skip_flags(plan: Plan) -> int:
     """Bits of flags that keep a point out of filtering."""
     config = plan.config
-    return WITHHELD_FLAG | (SYNTHETIC_FLAG if config.skip_synthetic else 0) | (OVERLAP_FLAG if config.skip_overlap else 0)
+    return (
+        WITHHELD_FLAG
+        | (SYNTHETIC_FLAG if config.skip_synthetic else 0)
+        | (OVERLAP_FLAG if config.skip_overlap else 0)
+    )
 
 
 def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
@@ -82,7 +82,9 @@ def fragments_of(spooled: Mapping[str, tuple[str, dict[str, Any]]]) -> Fragments
     return dict(found)
 
 
-def assemble_tasks(plan: Plan, spooled: Mapping[str, tuple[str, dict[str, Any]]], fragments: Fragments) -> Iterator[Task]:
+def assemble_tasks(
+    plan: Plan, spooled: Mapping[str, tuple[str, dict[str, Any]]], fragments: Fragments
+) -> Iterator[Task]:
     """One for each group of neighbouring buckets."""
     groups: dict[Cell, list[Cell]] = defaultdict(list)
     for cell in fragments:
@@ -164,7 +166,9 @@ def _around(lattice: Lattice, cells: Iterable[Cell], pad: int, digests: Mapping[
     return [[c.ix, c.iy, digests[c]] for c in lattice.cells(hull.pad(pad)) if c in digests]
 
 
-def label_digests(plan: Plan, assembled: Assembled, filtered: Mapping[str, tuple[str, dict[str, Any]]]) -> dict[Cell, str]:
+def label_digests(
+    plan: Plan, assembled: Assembled, filtered: Mapping[str, tuple[str, dict[str, Any]]]
+) -> dict[Cell, str]:
     """Bucket -> digest of its final labels (of its contents for `keep`)."""
     if plan.config.method == KEEP:
         return assembled.digests
@@ -186,12 +190,11 @@ def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], nam
     spec, frame = raster_spec(plan, assembled), plan.meta.frame
     max_edge = frame.counts(plan.config.max_edge)
     keep = plan.config.method == KEEP
-    thin = plan.density * (GRID_BLOCK * float(plan.resolution) + 2 * GRID_HALO_M) ** 2 > MAX_GROUND
     common = {
         "name": name, "spec": spec.to_json(), "data": assembled.bounds().to_json(), "labels": None if keep else LABELS,
         "classes": list(plan.config.ground_classes) if keep else [2], "skip_flags": skip_flags(plan),
-        "max_edge": str(max_edge), "halo": math.ceil(frame.counts(Fraction(GRID_HALO_M))),
-        "max_halo": full_halo(max_edge), "thin_cell": str(frame.counts(plan.resolution / 4)) if thin else None,
+        "max_edge": str(max_edge), "halo": math.ceil(frame.counts(plan.grid_halo)),
+        "max_halo": full_halo(max_edge), "thin_cell": str(frame.counts(plan.resolution / 4)) if plan.thin_ground else None,
     }  # fmt: skip
     for block in spec.blocks(GRID_BLOCK):
         window = spec.block_bounds(block).pad(full_halo(max_edge))
@@ -199,12 +202,21 @@ def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], nam
         if not seen:
             continue
         arguments = {**common, "block": [block.row, block.col, block.height, block.width]}
+        # In how many parts a block is done changes nothing: it is no part of the digest.
         digest = digest_of(__version__, arguments, seen)
+        arguments["max_points"] = plan.block_points
         points = sum(assembled.records[Cell(ix, iy)]["n"] for ix, iy, _ in seen)
         yield Task(f"grid-{name}", block.name, digest, grid_block, arguments, points)
 
 
-def cog_task(plan: Plan, spec: RasterSpec, gridded: Mapping[str, tuple[str, dict[str, Any]]], inputs: str, out: Path, name: str) -> Task:
+def cog_task(
+    plan: Plan,
+    spec: RasterSpec,
+    gridded: Mapping[str, tuple[str, dict[str, Any]]],
+    inputs: str,
+    out: Path,
+    name: str,
+) -> Task:
     """The raster as a file."""
     blocks = [[key, record["checksum"]] for key, (_, record) in sorted(gridded.items())]
     arguments = {
@@ -215,7 +227,9 @@ def cog_task(plan: Plan, spec: RasterSpec, gridded: Mapping[str, tuple[str, dict
             "TILER_PARAMETERS": _text(plan.parameters), "TILER_INPUTS": inputs,
         },
     }  # fmt: skip
-    return Task("export", f"{name}.tif", digest_of(arguments, blocks), write_cog, arguments, spec.height * spec.width)
+    return Task(
+        "export", f"{name}.tif", digest_of(arguments, blocks), write_cog, arguments, spec.height * spec.width
+    )
 
 
 def _text(parameters: Mapping[str, Any]) -> str:
@@ -224,11 +238,25 @@ def _text(parameters: Mapping[str, Any]) -> str:
     return json.dumps(parameters, sort_keys=True)
 
 
-def classified_tasks(plan: Plan, sources: Iterable[Source], spooled: Mapping[str, tuple[str, dict[str, Any]]], labels: Mapping[Cell, str], names: Mapping[Path, Path], out: Path) -> Iterator[Task]:
+def classified_tasks(
+    plan: Plan,
+    sources: Iterable[Source],
+    spooled: Mapping[str, tuple[str, dict[str, Any]]],
+    labels: Mapping[Cell, str],
+    names: Mapping[Path, Path],
+    out: Path,
+) -> Iterator[Task]:
     """One for each source."""
     for source in sources:
         prefix = f"s{source.number:06d}-"
-        cells = sorted({Cell(ix, iy) for key, (_, r) in spooled.items() if key.startswith(prefix) for ix, iy, _ in r["buckets"]})
+        cells = sorted(
+            {
+                Cell(ix, iy)
+                for key, (_, r) in spooled.items()
+                if key.startswith(prefix)
+                for ix, iy, _ in r["buckets"]
+            }
+        )
         arguments = {
             "path": str(source.info.path.resolve()), "source": source.number,
             "out": str(out / "classified" / names[source.info.path]), "labels": LABELS,
@@ -236,5 +264,3 @@ def classified_tasks(plan: Plan, sources: Iterable[Source], spooled: Mapping[str
         }  # fmt: skip
         digest = digest_of(__version__, source.identity, arguments, [labels[c] for c in cells])
         yield Task("export", f"c{source.number:06d}", digest, write_classified, arguments, source.info.points)
-
-

@@ -263,6 +263,8 @@ def natural_heights(
                 n = _rim(vertices, triangles, scratch, owner, x, y, scale)
             if n == 0:
                 out[row, column] = plane_height(vertices, triangles, owner, x, y, scale)
+                if not unbounded(sides):  # data beyond the hull would be neighbours
+                    marks[row, column] = 1
                 continue
             out[row, column] = _position_height(vertices, triangles, scratch, n, owner, x, y, scale)
             if not unbounded(sides) and not _rim_certified(

@@ -32,6 +32,8 @@ UInt8Array = npt.NDArray[np.uint8]
 
 NO_OWNER = -1  # of a pixel; below it, -2 - v stands for vertex v
 
+_NEAR, _FAR, _OWNED = 1, 2, 4  # of a mark while the facets are scanned
+
 _WIDE = 6  # columns from which on it pays to cut each row to the triangle
 
 
@@ -55,23 +57,40 @@ class Lattice(NamedTuple):
 
 
 @kernel
-def _mark_near_sides(marks: UInt8Array, lattice: Lattice, rule: Rule, sides: Sides) -> None:
-    """Mark each pixel without a facet that passes where unknown data could give it one.
+def _known_within(lattice: Lattice, sides: Sides, column: int, row: int, reach: float) -> bool:
+    """Whether the window holds everything within `reach` counts of a pixel's centre, in x and in y."""
+    x = float(lattice.x0 + column * lattice.step) / lattice.scale
+    y = float(lattice.y0 - row * lattice.step) / lattice.scale
+    across = x - reach >= sides.west and x + reach <= sides.east
+    return across and y - reach >= sides.south and y + reach <= sides.north
 
-    The corners of such a facet lie within its longest edge of the pixel. Where the window reaches as far, they are known,
-    and a triangle of the whole data with known corners is one of the window's triangulation as well: it would be
-    the pixel's facet. (Pixels whose facet passes are marked when that facet is drawn.)
-    """
-    reach = min(2.0 * rule.max_radius, math.sqrt(float(rule.max_edge2))) * (1.0 + 2.0**-20) + 2.0
-    known = np.empty(marks.shape[1], np.bool_)
-    for column in range(marks.shape[1]):
-        x = float(lattice.x0 + column * lattice.step) / lattice.scale
-        known[column] = x - reach >= sides.west and x + reach <= sides.east
+
+@kernel
+def _mark_near_sides(marks: UInt8Array, lattice: Lattice, rule: Rule, sides: Sides) -> None:
+    """Say of each pixel how much of its surroundings is unknown: `_NEAR`, `_FAR`, both or nothing."""
+    slack = 1.0 + 2.0**-20
+    far = 2.0 * rule.max_radius * slack + 2.0
+    near = min(far, math.sqrt(float(rule.max_edge2)) * slack + 2.0)
     for row in range(marks.shape[0]):
-        y = float(lattice.y0 - row * lattice.step) / lattice.scale
-        row_known = y - reach >= sides.south and y + reach <= sides.north
         for column in range(marks.shape[1]):
-            marks[row, column] = 0 if row_known and known[column] else 1
+            mark = 0 if _known_within(lattice, sides, column, row, near) else _NEAR
+            marks[row, column] = mark | (0 if _known_within(lattice, sides, column, row, far) else _FAR)
+
+
+@kernel
+def _settle_marks(marks: UInt8Array) -> None:
+    """Turn what is known of each pixel into its mark, 0 or 1.
+
+    A pixel whose facet passes: that facet's circle, which reaches at most twice `max_radius` from the pixel, may hold
+    unknown data. A pixel without one: unknown data could give it a facet. But the corners of that lie within its
+    longest edge of the pixel, and were they all known, it would be a triangle of the window as well: empty of all data,
+    its circle is empty of the window's. So a smaller reach suffices.
+    """
+    for row in range(marks.shape[0]):
+        for column in range(marks.shape[1]):
+            mark = marks[row, column]
+            asked = _FAR if mark & _OWNED else _NEAR
+            marks[row, column] = 1 if mark & asked else 0
 
 
 @kernel
@@ -129,16 +148,13 @@ def _own_vertices(
         if final:
             marks[row, column] = 0
         elif owned:
-            marks[row, column] = 1
+            marks[row, column] |= _OWNED
 
 
 @kernel
-def _wins_edge(vertices: Int32Array, triangles: Int32Array, edge: int, rule: Rule) -> bool:
-    """Whether the (passing) facet of `edge` owns the centres on it."""
-    twin = wide(triangles[edge])
-    if not facet_passes(vertices, triangles, twin >> 3, rule):
-        return True
-    own, other = triangles[edge + 4], triangles[twin + 4]
+def _apex_first(vertices: Int32Array, triangles: Int32Array, edge: int) -> bool:
+    """Whether the vertex opposite `edge` is lexicographically smaller than the one opposite its twin."""
+    own, other = triangles[edge + 4], triangles[triangles[edge] + 4]
     return lexicographic_less(
         vertices[4 * own], vertices[4 * own + 1], vertices[4 * other], vertices[4 * other + 1]
     )
@@ -146,21 +162,31 @@ def _wins_edge(vertices: Int32Array, triangles: Int32Array, edge: int, rule: Rul
 
 @kernel
 def _own_border(
-    vertices: Int32Array, triangles: Int32Array, t: int, ea: int, eb: int, ec: int, rule: Rule, sides: Sides
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    zeros: tuple[bool, bool, bool],
+    within_reach: bool,
+    rule: Rule,
+    sides: Sides,
 ) -> tuple[bool, bool]:
     """Whether facet `t` owns a centre on its border, and whether the owner is certain.
 
-    The edge functions that are zero tell where; a centre on a vertex is `_own_vertices`' affair.
+    `zeros` tells which edges the centre is on; a centre on a vertex is `_own_vertices`' affair. The owner is
+    certain if both sides are, or if it is and no unknown facet can pass on the other side because the window
+    reaches far enough.
     """
-    if (ea == 0) + (eb == 0) + (ec == 0) == 2:
+    if zeros[0] + zeros[1] + zeros[2] == 2:
         return False, False
-    edge = 8 * t + (0 if ea == 0 else (1 if eb == 0 else 2))
+    edge = 8 * t + (0 if zeros[0] else (1 if zeros[1] else 2))
     other = wide(triangles[edge]) >> 3
-    owned = facet_passes(vertices, triangles, t, rule) and _wins_edge(vertices, triangles, edge, rule)
-    final = facet_certified(vertices, triangles, t, sides) and facet_certified(
-        vertices, triangles, other, sides
+    passes = facet_passes(vertices, triangles, t, rule)
+    other_passes = facet_passes(vertices, triangles, other, rule)
+    owned = passes and (not other_passes or _apex_first(vertices, triangles, edge))
+    other_final = facet_certified(vertices, triangles, other, sides) or (
+        owned and within_reach and not other_passes
     )
-    return owned, final
+    return owned, other_final and facet_certified(vertices, triangles, t, sides)
 
 
 @kernel
@@ -230,7 +256,8 @@ def _own_facet(
                     known = True
                 owned, final = passes, certified
                 if ea == 0 or eb == 0 or ec == 0:
-                    owned, final = _own_border(vertices, triangles, t, ea, eb, ec, rule, sides)
+                    zeros, within_reach = (ea == 0, eb == 0, ec == 0), marks[row, column] == 0
+                    owned, final = _own_border(vertices, triangles, t, zeros, within_reach, rule, sides)
                 if owned and owners.size > 0:
                     owners[row, column] = t
                 if owned and heights.size > 0:
@@ -238,7 +265,7 @@ def _own_facet(
                 if final:
                     marks[row, column] = 0
                 elif owned:
-                    marks[row, column] = 1
+                    marks[row, column] |= _OWNED
             ea += da
             eb += db
             ec += dc
@@ -281,6 +308,7 @@ def scan(
     heights[:, :] = np.nan
     _mark_near_sides(marks, lattice, rule, sides)
     if counters[N_TRIANGLES] == 0:
+        _settle_marks(marks)
         return
     x0, y0, step, scale = lattice
     inverse = 1.0 / float(step)
@@ -305,3 +333,4 @@ def scan(
         box = (top, bottom, left, right)
         _own_facet(vertices, triangles, t, owners, heights, marks, box, lattice, rule, sides)
     _own_vertices(vertices, triangles, counters, owners, heights, marks, lattice, rule, sides)
+    _settle_marks(marks)

@@ -100,7 +100,9 @@ class Lattice:
 
     def bounds(self, cell: Cell) -> Bounds:
         """The counts that belong to a cell."""
-        return Bounds(self.first(cell.ix), self.first(cell.iy), self.first(cell.ix + 1), self.first(cell.iy + 1))
+        return Bounds(
+            self.first(cell.ix), self.first(cell.iy), self.first(cell.ix + 1), self.first(cell.iy + 1)
+        )
 
     def cells(self, bounds: Bounds) -> Iterator[Cell]:
         """Every cell that holds a count of ``bounds``, row by row from the south-west."""

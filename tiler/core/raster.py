@@ -74,4 +74,6 @@ class RasterSpec:
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> RasterSpec:
         """The raster that `to_json` described."""
-        return cls(Lattice.from_json(data["lattice"]), data["west"], data["north"], data["height"], data["width"])
+        return cls(
+            Lattice.from_json(data["lattice"]), data["west"], data["north"], data["height"], data["width"]
+        )

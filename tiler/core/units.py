@@ -26,7 +26,9 @@ def unit_named(name: str) -> Fraction:
     try:
         return _NAMES[name.strip().lower()]
     except KeyError:
-        raise ConfigError(f"unknown unit {name!r}: use m, ft (international) or usft (US survey foot)") from None
+        raise ConfigError(
+            f"unknown unit {name!r}: use m, ft (international) or usft (US survey foot)"
+        ) from None
 
 
 def unit_label(metres: Fraction) -> str:
@@ -49,7 +51,9 @@ def parse_length(text: str | float | Fraction) -> Fraction:
         return text
     match = _LENGTH.match(str(text))
     if match is None:
-        raise ConfigError(f"{text!r} is no length: write a number, with a unit if it is not metres (1, 0.5, 1/3, 3ft)")
+        raise ConfigError(
+            f"{text!r} is no length: write a number, with a unit if it is not metres (1, 0.5, 1/3, 3ft)"
+        )
     number, unit = match.groups()
     value = Fraction(number) if "/" not in number else Fraction(*map(Fraction, number.split("/")))
     return value * (unit_named(unit) if unit else METRE)

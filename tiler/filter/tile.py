@@ -92,7 +92,10 @@ def _aligned(bounds: Bounds, lattice: Lattice) -> Bounds:
     """Widened to whole cells of a lattice."""
     first, index = lattice.first, lattice.index_of
     return Bounds(
-        first(index(bounds.x0)), first(index(bounds.y0)), first(index(bounds.x1 - 1) + 1), first(index(bounds.y1 - 1) + 1)
+        first(index(bounds.x0)),
+        first(index(bounds.y0)),
+        first(index(bounds.x1 - 1) + 1),
+        first(index(bounds.y1 - 1) + 1),
     )
 
 
@@ -127,7 +130,9 @@ def _candidates(
         return store.window(window, ("xyz",), candidates_only=True).xyz
     block = store.window(window, ("xyz", "classification", "flags"), candidates_only=False)
     assert block.classification is not None and block.flags is not None  # asked for above
-    return block.xyz[:, participates(block.classification, block.flags, args["keep_classes"], args["skip_flags"])]
+    return block.xyz[
+        :, participates(block.classification, block.flags, args["keep_classes"], args["skip_flags"])
+    ]
 
 
 def _label(store: TileStore, cell: Cell, model: Model, args: dict[str, Any]) -> npt.NDArray[np.uint8]:

@@ -26,6 +26,10 @@ from tiler.grid.ground import Ground, GroundRule, central_points, read_ground, w
 from tiler.store import TileStore, open_store
 
 
+SMALLEST_PART = 32
+"""Pixels a side below which a block is not divided any more."""
+
+
 def full_halo(max_edge: Fraction) -> int:
     """Counts of halo with which no pixel of a block is ever marked, for a limit in counts.
 
@@ -61,6 +65,7 @@ def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``halo``, ``max_halo``: counts, to begin with and at most (default `full_halo`).
         ``thin_cell``: counts, as a fraction in text, or None. Of the ground points of such a cell only the central
         one is used. One value for the whole run, as another one is another surface.
+        ``max_points``: a block whose window holds more is done in quarters (default: never).
 
     Returns
     -------
@@ -74,9 +79,33 @@ def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         The window is too wide for the TIN, or the resolution too odd a fraction of the CRS's unit.
     """
     store = open_store(store_url)
-    heights, record = block_heights(store, args)
+    heights, record = _in_parts(store, args)
     store.write_block(args["name"], Block(*args["block"]), heights)
     return {**record, "checksum": hashlib.blake2b(heights.tobytes(), digest_size=16).hexdigest()}
+
+
+def _in_parts(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+    """As `block_heights`, in quarters where the window holds more points than `max_points`: pixels do not depend on it."""
+    row, col, height, width = args["block"]
+    spec = RasterSpec.from_json(args["spec"])
+    window = spec.block_bounds(Block(row, col, height, width)).pad(args["halo"])
+    infos = store.buckets()
+    points = sum(infos[cell].n for cell in store.meta.bucket.cells(window) if cell in infos)
+    if points <= args.get("max_points", points) or max(height, width) <= SMALLEST_PART:
+        return block_heights(store, args)
+    heights = np.empty((height, width), np.float32)
+    total: dict[str, Any] = {}
+    for top, tall in ((0, height // 2), (height // 2, height - height // 2)):
+        for left, wide in ((0, width // 2), (width // 2, width - width // 2)):
+            if tall == 0 or wide == 0:
+                continue
+            part, record = _in_parts(store, {**args, "block": [row + top, col + left, tall, wide]})
+            heights[top : top + tall, left : left + wide] = part
+            total = {
+                k: (max if k in ("tries", "halo") else int.__add__)(total.get(k, 0), v)
+                for k, v in record.items()
+            }
+    return heights, total
 
 
 def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:

@@ -21,4 +21,6 @@ def write_run_file(out: Path, content: dict[str, Any]) -> None:
             os.fsync(stream.fileno())
         os.replace(partial, out / "run.json")
     except OSError as error:
-        raise ProcessingError(f"{out}/run.json: cannot be written ({error.strerror}); see to space and rights") from error
+        raise ProcessingError(
+            f"{out}/run.json: cannot be written ({error.strerror}); see to space and rights"
+        ) from error

@@ -49,7 +49,7 @@ class DaskExecutor:
         if address is None:
             self._cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
-                dashboard_address=None, silence_logs=logging.CRITICAL,
+                dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
             )  # fmt: skip
             self._client = Client(self._cluster)
             self._client.run(_leave_interrupts_to_the_client)
@@ -62,7 +62,9 @@ class DaskExecutor:
         self.workers = len(self._client.scheduler_info(n_workers=-1)["workers"])
         if self.workers == 0:
             self._client.close()
-            raise ConfigError(f"--scheduler {address}: it has no workers; start some with `dask worker {address}`")
+            raise ConfigError(
+                f"--scheduler {address}: it has no workers; start some with `dask worker {address}`"
+            )
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes as they come."""
@@ -80,7 +82,9 @@ class DaskExecutor:
                 done.add(self._submit(perform, store_url, following, running))
 
     def _submit(self, perform: Perform, store_url: str, task: Task, running: dict[str, Task]) -> Any:
-        future = self._client.submit(perform, store_url, task, key=f"{task.stage}/{task.key}/{task.digest}", pure=False)
+        future = self._client.submit(
+            perform, store_url, task, key=f"{task.stage}/{task.key}/{task.digest}", pure=False
+        )
         running[future.key] = task
         return future
 
@@ -89,7 +93,9 @@ class DaskExecutor:
         if error is None:
             outcome: Outcome = future.result()
             return outcome
-        text = "its worker died, three times" if isinstance(error, KilledWorker) else str(error) or repr(error)
+        text = (
+            "its worker died, three times" if isinstance(error, KilledWorker) else str(error) or repr(error)
+        )
         return Outcome(task, None, text.splitlines()[0], type(error).__name__)
 
     def close(self) -> None:

@@ -12,7 +12,9 @@ import numpy.typing as npt
 import zarr
 from zarr.abc.store import ByteRequest
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
+from zarr.core.array_spec import ArrayConfigParams
 from zarr.core.buffer import Buffer, BufferPrototype
+from zarr.core.metadata import ArrayV3Metadata
 from zarr.errors import ContainsArrayError
 from zarr.storage import StorePath, WrapperStore
 
@@ -43,7 +45,7 @@ def create_array(
     attributes: dict[str, Any] | None = None,
 ) -> ZarrArray:
     """A new array, or the one that another task made at the same time with the same arguments."""
-    blosc = BloscCodec(typesize=kind.shuffled, cname="zstd", clevel=1, shuffle="shuffle")
+    blosc = BloscCodec(typesize=kind.shuffled, cname="zstd", clevel=kind.level, shuffle="shuffle")
     try:
         zarr.create_array(
             storage.zarr_store, name=path, shape=shape, chunks=kind.chunks, dtype=kind.dtype, fill_value=kind.fill,
@@ -75,8 +77,9 @@ def find_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray | None
         return None
     metadata = _checked(data, f"{storage.url}: {path}", kind)
     store = storage.zarr_store if kind.sparse else _Complete(storage.zarr_store)
-    place = StorePath(store, path)
-    return zarr.Array(zarr.AsyncArray(metadata, place, config={"write_empty_chunks": not kind.sparse}))
+    parsed = ArrayV3Metadata.from_dict(metadata)
+    config: ArrayConfigParams = {"write_empty_chunks": not kind.sparse}
+    return zarr.Array(zarr.AsyncArray(parsed, StorePath(store, path), config))
 
 
 def open_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray:

@@ -55,7 +55,9 @@ class ArrayKind:
         Chunks that hold nothing but `fill` are not stored. Where it is False, each chunk that should be
         there is there, so that a missing one is an error and no silent zeros.
     item : int
-        Bytes that the shuffle treats as one item.
+        Bytes that the shuffle treats as one item; 0: those of the dtype.
+    level : int
+        Level of zstd.
     """
 
     dtype: str
@@ -63,6 +65,7 @@ class ArrayKind:
     fill: float = 0
     sparse: bool = False
     item: int = 0
+    level: int = 3
 
     @property
     def shuffled(self) -> int:
@@ -127,7 +130,7 @@ def record_type(has_rgb: bool) -> np.dtype[np.void]:
 def spool_kind(has_rgb: bool) -> ArrayKind:
     """Pieces of the spool: bytes of whole records, shuffled as such."""
     size = record_type(has_rgb).itemsize
-    return ArrayKind("uint8", (SPOOL_CHUNK, size), item=size)
+    return ArrayKind("uint8", (SPOOL_CHUNK, size), item=size, level=1)  # written and read once
 
 
 def points_path(column: str) -> str:
