@@ -1,15 +1,24 @@
-"""Axelsson's test: may a point join the facet that it lies in? (Axelsson, 2000; its edge rules as in Dong 2018, 2.1)."""
+"""Axelsson's test: may a point join the facet that it lies in?
+
+Source: Axelsson (2000), DEM generation from laser scanner data using adaptive TIN models; edge rules as in Dong (2018), 2.1.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from ptd.frame import Scale
 from ptd.kernel import kernel
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
-from ptd.tin.location import locate
+from ptd.tin.location import coincident_vertex, locate
+
+
+UInt8 = npt.NDArray[np.uint8]
 
 
 class Limits(NamedTuple):
@@ -20,7 +29,8 @@ class Limits(NamedTuple):
     distance : float
         Iteration distance: from the point to the facet's plane.
     angle : float
-        Iteration angle: the largest of the angles between the facet's plane and the lines from the point to its corners.
+        Iteration angle: the largest of the angles between the facet's plane and the lines from the point to its
+        corners.
     steep_cos2 : float
         Squared cosine of the terrain angle: a facet whose normal is more inclined mirrors its points.
     reduce_edge : float
@@ -62,8 +72,8 @@ def facet_measures(
 ) -> tuple[float, float, float, float]:
     """How a point lies to a real facet.
 
-    Everything is computed relative to the facet's lexicographically smallest corner and in one order of the corners, so
-    the same facet and point give the same bits in any tile.
+    Everything is computed relative to the facet's lexicographically smallest corner and in one order of the
+    corners, so the same facet and point give the same bits in any tile.
 
     Returns
     -------
@@ -102,13 +112,13 @@ def facet_measures(
 
 @kernel
 def within(distance: float, nearest: float, edge: float, limits: Limits) -> bool:
-    """Whether distance and angle are within the limits; a point on a corner is judged by its distance alone."""
+    """Whether distance and angle are within the limits."""
     if abs(distance) > limits.distance:
         return False
     angle = limits.angle
     if edge < limits.reduce_edge:
         angle *= edge / limits.reduce_edge
-    return abs(distance) <= nearest * math.sin(angle) or nearest == 0.0
+    return abs(distance) <= nearest * math.sin(angle)
 
 
 @kernel
@@ -133,25 +143,67 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
 
 
 @kernel
+def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) -> int:
+    """The triangle behind the edge of t that (x, y) lies on; t itself if it lies on none, or on a corner.
+
+    Which of the two owns the position depends on both, so an answer about it does too.
+    """
+    row = 8 * t
+    if is_ghost(triangles, t):
+        return t
+    i, j, k = 4 * triangles[row + 4], 4 * triangles[row + 5], 4 * triangles[row + 6]
+    ax, ay = vertices[i] - x, vertices[i + 1] - y
+    bx, by = vertices[j] - x, vertices[j + 1] - y
+    cx, cy = vertices[k] - x, vertices[k + 1] - y
+    on_a, on_b, on_c = bx * cy - by * cx == 0, cx * ay - cy * ax == 0, ax * by - ay * bx == 0
+    if on_a and not (on_b or on_c):
+        return int(triangles[row] >> 3)
+    if on_b and not (on_a or on_c):
+        return int(triangles[row + 1] >> 3)
+    if on_c and not (on_a or on_b):
+        return int(triangles[row + 2] >> 3)
+    return t
+
+
+@kernel
 def accepts(
-    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, limits: Limits
-) -> tuple[bool, int]:
-    """Axelsson's test of a point that lies in triangle t.
+    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, limits: Limits, in_doubt: UInt8
+) -> tuple[bool, bool, bool]:
+    """Axelsson's test of a point that lies in triangle t (a real one).
+
+    On a vertex, where any of its triangles may be t, only the vertex itself belongs to the terrain.
+
+    Parameters
+    ----------
+    in_doubt : uint8 [triangles]
+        See `ptd.certify.Doubt.triangles`.
 
     Returns
     -------
-    bool
+    passed : bool
         The point belongs to the terrain.
-    int
-        The other triangle that the answer rests on (t itself unless the point was mirrored).
+    elsewhere : bool
+        The answer rests on other triangles than t.
+    doubtful : bool
+        The answer rests on a triangle in doubt.
     """
+    v = coincident_vertex(vertices, triangles, x, y, t)
+    if v >= 0:
+        return z == vertices[4 * v + 2], False, in_doubt[t] != 0
+    beside = across(vertices, triangles, t, x, y)
+    doubtful = in_doubt[t] != 0 or in_doubt[beside] != 0
     distance, nearest, cos2, edge = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
     if edge < limits.stop_edge:
-        return False, t
+        return False, beside != t, doubtful
     if cos2 >= limits.steep_cos2:
-        return within(distance, nearest, edge, limits), t
+        return within(distance, nearest, edge, limits), beside != t, doubtful
     other, mx, my = mirror_facet(vertices, triangles, t, x, y)
+    doubtful = doubtful or in_doubt[other] != 0
     if is_ghost(triangles, other):
-        return False, other
+        return False, True, doubtful
+    v = coincident_vertex(vertices, triangles, mx, my, other)
+    if v >= 0:
+        return z == vertices[4 * v + 2], True, doubtful
+    doubtful = doubtful or in_doubt[across(vertices, triangles, other, mx, my)] != 0
     distance, nearest, cos2, edge = facet_measures(vertices, triangles, other, mx, my, z, limits.z_ratio)
-    return within(distance, nearest, edge, limits), other
+    return within(distance, nearest, edge, limits), True, doubtful

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ptd.cells import Int32
 from ptd.certify import Doubt, UInt8
 from ptd.criteria import Limits, accepts
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 from ptd.tin.insertion import insert
 from ptd.tin.layout import N_TRIANGLES, STAMP, Int32Array, is_ghost
 from ptd.tin.location import locate
@@ -42,27 +42,26 @@ def _test_round(
     """Test the candidates whose triangle changed since their last test; `chosen` receives those that pass.
 
     A triangle changed by the insertions of the last round carries its stamp, ``stamp - 1``. A candidate whose answer
-    rests on a mirrored position is tested each time (`again`).
+    rests on other triangles as well (mirrored, or on an edge) is tested each time (`again`).
     """
     n_chosen = 0
-    t = np.int64(0)
+    t = 0
     for i in range(x.size):
         if state[i] != 0:
             continue
         if home[i] >= 0:
-            t = np.int64(home[i])
-        unchanged = home[i] >= 0 and triangles[8 * t + STAMP] < stamp - 1
-        if not unchanged:
-            t = np.int64(locate(vertices, triangles, x[i], y[i], t))
-            home[i] = t
-        if in_doubt[t] != 0:
-            doubtful[i] = True
-        if (unchanged and not again[i]) or is_ghost(triangles, t):
+            t = wide(home[i])
+        if home[i] >= 0 and not again[i] and triangles[8 * t + STAMP] < stamp - 1:
+            doubtful[i] = doubtful[i] or in_doubt[t] != 0
             continue
-        passed, other = accepts(vertices, triangles, t, x[i], y[i], z[i], limits)
-        again[i] = other != t
-        if in_doubt[other] != 0:
-            doubtful[i] = True
+        t = locate(vertices, triangles, x[i], y[i], t)
+        home[i] = t
+        if is_ghost(triangles, t):
+            doubtful[i] = doubtful[i] or in_doubt[t] != 0
+            continue
+        passed, elsewhere, unsure = accepts(vertices, triangles, t, x[i], y[i], z[i], limits, in_doubt)
+        again[i] = elsewhere
+        doubtful[i] = doubtful[i] or unsure
         if passed:
             chosen[n_chosen] = i
             n_chosen += 1
@@ -70,7 +69,7 @@ def _test_round(
 
 
 @kernel
-def insert_points(
+def _insert_points(
     vertices: Int32Array,
     triangles: Int32Array,
     counters: Int32Array,
@@ -82,13 +81,13 @@ def insert_points(
     stamp: int,
 ) -> None:
     """Insert the chosen points; `home` holds a triangle near each, or -1."""
-    hint = np.int64(0)
+    hint = 0
     for k in range(chosen.size):
         i = chosen[k]
         if home[i] >= 0:
-            hint = np.int64(home[i])
+            hint = wide(home[i])
         v = insert(vertices, triangles, counters, x[i], y[i], z[i], hint, stamp)
-        hint = np.int64(max(vertices[4 * v + 3], 0))
+        hint = wide(max(vertices[4 * v + 3], 0))
 
 
 def densify(
@@ -103,6 +102,8 @@ def densify(
     stop: Callable[[], bool] | None = None,
 ) -> tuple[npt.NDArray[np.bool_], int]:
     """Batch rounds until nothing passes any more, or `rounds` of them.
+
+    While doubt still spreads there are rounds even if nothing passes: beyond the window the rounds may go on.
 
     Parameters
     ----------
@@ -149,12 +150,12 @@ def densify(
             stamp,
             room,
         )
-        doubt.add_points(x, y, doubtful)
-        if n == 0:
+        spread = doubt.add_points(x, y, doubtful)
+        if n == 0 and not spread:
             break
         chosen = room[:n]
         state[chosen] = VERTEX
-        insert_points(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, home, chosen, stamp)
+        _insert_points(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, home, chosen, stamp)
         if stop is not None and stop():
             break
     return doubtful, stamp

@@ -96,11 +96,25 @@ class Window:
         """Beyond some side there may be points that were not given."""
         return self != Window.everything()
 
-    def shrink(self, counts: int) -> Window:
-        """Closed sides moved inward."""
-        return Window(
-            self.west + counts if self.west > -OPEN else self.west,
-            self.south + counts if self.south > -OPEN else self.south,
-            self.east - counts if self.east < OPEN else self.east,
-            self.north - counts if self.north < OPEN else self.north,
-        )
+    def inside(self, cells: Cells, steps: int = 0) -> Window:
+        """Closed sides moved inward to a border of cells, and `steps` cells further."""
+
+        def first(index: int, count: int, start: int) -> int:
+            return index + (start < count) + steps
+
+        west, south, east, north = self.west, self.south, self.east, self.north
+        if west > -OPEN:
+            column = cells.column(west)
+            west = cells.west(first(column, west, cells.west(column)))
+        if south > -OPEN:
+            row = cells.row(south)
+            south = cells.south(first(row, south, cells.south(row)))
+        if east < OPEN:
+            east = cells.west(cells.column(east) - steps)
+        if north < OPEN:
+            north = cells.south(cells.row(north) - steps)
+        return Window(west, south, east, north)
+
+    def holds(self, west: int, south: int, east: int, north: int) -> bool:
+        """Whether a half-open rectangle of local counts lies within."""
+        return west >= self.west and south >= self.south and east <= self.east and north <= self.north

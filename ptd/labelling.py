@@ -8,7 +8,7 @@ import numpy.typing as npt
 from ptd.cells import Int32, Int64
 from ptd.certify import UInt8
 from ptd.criteria import Limits, accepts, facet_measures
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
 from ptd.tin.mesh import Tin
@@ -69,31 +69,31 @@ def _label(
     in_doubt: UInt8,
     limits: Limits,
     floor: float,
+    vertices_only: bool,
     labels: UInt8,
     marked: npt.NDArray[np.bool_],
 ) -> None:
     for i in range(x.size):
         column = min(max((x[i] - west) // cell, 0), width - 1)
         row = min(max((y[i] - south) // cell, 0), height - 1)
-        t = np.int64(locate(vertices, triangles, x[i], y[i], np.int64(grid[row * width + column])))
+        t = locate(vertices, triangles, x[i], y[i], wide(grid[row * width + column]))
         marked[i] = in_doubt[t] != 0
         labels[i] = 1
         if is_ghost(triangles, t):
             continue
         v = coincident_vertex(vertices, triangles, x[i], y[i], t)
         if v >= 0:
-            if float(z[i] - vertices[4 * v + 2]) * limits.z_ratio <= floor:
+            if abs(float(z[i] - vertices[4 * v + 2])) * limits.z_ratio <= floor:
                 labels[i] = 2
             continue
-        distance, _nearest, _cos2, _edge = facet_measures(
-            vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio
-        )
-        if abs(distance) <= floor:
-            labels[i] = 2
+        if vertices_only:
             continue
-        passed, other = accepts(vertices, triangles, t, x[i], y[i], z[i], limits)
-        if in_doubt[other] != 0:
-            marked[i] = True
+        passed, _elsewhere, marked[i] = accepts(vertices, triangles, t, x[i], y[i], z[i], limits, in_doubt)
+        if not passed:
+            distance, _nearest, _cos2, _edge = facet_measures(
+                vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio
+            )
+            passed = abs(distance) <= floor
         if passed:
             labels[i] = 2
 
@@ -103,9 +103,9 @@ def label_points(
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Ground or not, against the finished TIN.
 
-    Ours, not the papers': there, what lies in facets that take no more vertices is lost as type I. The rule is the one of
-    densification; besides, a point within ``floor`` of its facet is ground whatever its angle, since close to a
-    vertex noise alone makes any angle.
+    Ours, not the papers': there, what lies in facets that take no more vertices is lost as type I. The rule is
+    the one of densification; besides, a point within ``floor`` of its facet is ground whatever its angle, since
+    close to a vertex noise alone makes any angle.
 
     Parameters
     ----------
@@ -119,6 +119,8 @@ def label_points(
     limits : Limits
     floor : float
         Horizontal counts.
+    vertices_only : bool
+        Without a last pass: only what lies on a vertex, at its height, is ground.
 
     Returns
     -------
@@ -133,7 +135,7 @@ def label_points(
         g = locator
         _label(
             tin.vertex_array, tin.triangle_array, x, y, z, g.grid, g.west, g.south, g.cell, g.height, g.width,
-            in_doubt, limits, floor, labels, marked,
+            in_doubt, limits, floor, vertices_only, labels, marked,
         )  # fmt: skip
     return labels, marked
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import CellIndex, Int32, Int64, slot_of
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import Cells, Scale
 from ptd.kernel import kernel
 
 MIN_NEIGHBOURS = 3
@@ -63,21 +63,20 @@ def _low_points(
 
 
 def low_outliers(
-    x: Int32, y: Int32, z: Int32, scale: Scale, window: Window, radius_m: float, depth_m: float, group: int
-) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float, group: int
+) -> npt.NDArray[np.bool_]:
     """Points that, with at most ``group - 1`` others, lie alone at the bottom of a hole.
 
     A point is a low outlier if at most ``group`` points within ``radius_m`` (itself included) are less than ``depth_m``
-    above it or below it, and at least three are higher than that. This is TerraScan's "low points" idea for groups; it looks
-    at each point's own neighbourhood alone, so neither order nor tile matter.
+    above it or below it, and at least three are higher than that. This is TerraScan's "low points" idea for
+    groups; it looks at each point's own neighbourhood alone, so neither order nor tile matter, and what lies
+    ``radius_m`` inside a window is certain.
 
     Parameters
     ----------
     x, y, z : int32 [n]
         Local counts, best in row-major order of cells.
     scale : Scale
-    window : Window
-        Where all points are known.
     radius_m, depth_m : float
         Metres.
     group : int
@@ -85,23 +84,17 @@ def low_outliers(
 
     Returns
     -------
-    outlier : bool [n]
-    doubtful : bool [n]
-        The neighbourhood reaches beyond the window.
+    bool [n]
     """
-    none = np.zeros(x.size, np.bool_)
     if x.size == 0 or group == 0:
-        return none, none
+        return np.zeros(x.size, np.bool_)
     cells = Cells.of(1.0, scale)
     index = CellIndex(x, y, cells)
     columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p - index.col0
     rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p - index.row0
     radius = scale.counts(radius_m)
     reach = int(np.ceil(radius_m)) + 1
-    outlier = _low_points(
+    return _low_points(
         x, y, z, index.slots, index.keys, index.starts, index.order, index.width, index.height,
         columns, rows, reach, radius, scale.counts_z(depth_m), group,
     )  # fmt: skip
-    inner = window.shrink(int(np.ceil(radius)))
-    doubtful = (x < inner.west) | (x >= inner.east) | (y < inner.south) | (y >= inner.north)
-    return outlier, doubtful

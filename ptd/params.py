@@ -27,18 +27,34 @@ T = TypeVar("T")
 
 
 def check(params: Any) -> None:
-    """Raise ValueError, naming parameter, value and range, if a value of a parameter dataclass is out of range."""
+    """Refuse values of a parameter dataclass that are of the wrong kind or out of range.
+
+    Raises
+    ------
+    ValueError
+        One line that names the parameter, the value and what would be right.
+    """
     for spec in fields(params):
         value = getattr(params, spec.name)
         low, high = spec.metadata["minimum"], spec.metadata["maximum"]
-        if isinstance(spec.default, bool) != isinstance(value, bool):
-            raise ValueError(
-                f"{spec.name} {value!r}: must be {'true or false' if spec.default in (True, False) else 'a number'}"
-            )
+        if not _is_of_kind(value, spec.default):
+            raise ValueError(f"{spec.name} {value!r}: must be {_kind(spec.default)}")
         below = low is not None and not value >= low
         if below or (high is not None and not value <= high):
             unit = f" {spec.metadata['unit']}" if spec.metadata["unit"] else ""
             raise ValueError(f"{spec.name} {value:g}: must be between {low:g} and {high:g}{unit}")
+
+
+def _is_of_kind(value: Any, default: Any) -> bool:
+    if isinstance(default, bool) or isinstance(value, bool):
+        return isinstance(default, bool) and isinstance(value, bool)
+    return isinstance(value, int) or (isinstance(default, float) and isinstance(value, float))
+
+
+def _kind(default: Any) -> str:
+    if isinstance(default, bool):
+        return "true or false"
+    return "a whole number" if isinstance(default, int) else "a number"
 
 
 def parse(cls: type[T], texts: dict[str, str]) -> T:
@@ -55,6 +71,8 @@ def parse(cls: type[T], texts: dict[str, str]) -> T:
         full = next((n for n in (name, *(name + s for s in UNIT_SUFFIXES)) if n in known), None)
         if full is None:
             raise ValueError(f"no parameter {name!r}; there are {', '.join(known)}")
+        if full in values:
+            raise ValueError(f"{full}: given twice, with and without its unit; give it once")
         values[full] = _parse_value(full, text, known[full].default)
     return cls(**values)
 
@@ -63,13 +81,12 @@ def _parse_value(name: str, text: str, default: Any) -> Any:
     if isinstance(default, bool):
         words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
         if text.lower() not in words:
-            raise ValueError(f"{name} {text!r}: must be true or false")
+            raise ValueError(f"{name} {text!r}: must be {_kind(default)}")
         return words[text.lower()]
     try:
         return type(default)(text)
     except ValueError:
-        kind = "a whole number" if isinstance(default, int) else "a number"
-        raise ValueError(f"{name} {text!r}: must be {kind}") from None
+        raise ValueError(f"{name} {text!r}: must be {_kind(default)}") from None
 
 
 def to_json(params: Any) -> dict[str, Any]:

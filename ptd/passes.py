@@ -1,8 +1,9 @@
 """How a method runs over tiles: a sequence of passes.
 
-A pass looks at the candidates of a window (`Pass.fit`) and gives a model that labels points in pieces (`Model.label`) and says
-what the window contributes to run-wide statistics (`Model.partial`); `Pass.reduce` merges the partials of all tiles,
-in any order, into the state that the next pass sees. A pass is the unit of scheduling and of resume.
+A pass looks at the candidates of a window (`Pass.fit`) and gives a model that labels points in pieces
+(`Model.label`) and says what the window contributes to run-wide statistics (`Model.partial`); `Pass.reduce`
+merges the partials of all tiles, in any order, into the state that the next pass sees. A pass is the unit of
+scheduling and of resume.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ class Method:
     params : type
         Frozen dataclass of `ptd.params.parameter` fields, the only home of the defaults, with the properties ``passes``
         (tuple of `Pass`), ``halo_m`` (points around a tile that decisions usually reach), ``align_m``
-        (windows are widened to whole cells of this lattice), ``margin_m`` (and by this beyond) and ``candidate_cell_m`` (0: every point is a candidate).
+        (windows are widened to whole cells of this lattice), ``margin_m`` (and by this beyond) and
+        ``candidate_cell_m`` (0: every point is a candidate).
     """
 
     name: str

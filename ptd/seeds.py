@@ -9,11 +9,12 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell
 from ptd.certify import Doubt
-from ptd.frame import Cells, Window
+from ptd.frame import Cells
 
 RING = 2
-"""Cells of virtual seeds around occupied ones. Any circle of a radius above sqrt(2) cells through a point of the data would
-hold a whole cell within two cells of it, and with it a seed: so the circles that matter are bounded."""
+"""Cells of virtual seeds around occupied ones. Any circle of a radius above sqrt(2) cells around or through a point
+of the data would hold a whole cell within two cells of it, and with it a seed: so the circles that matter are
+bounded, and reach less than three cells from the data."""
 
 
 @dataclass(frozen=True)
@@ -33,15 +34,7 @@ class Seeds:
 
 
 def choose_seeds(
-    x: Int32,
-    y: Int32,
-    z: Int32,
-    eligible: npt.NDArray[np.bool_],
-    doubtful: npt.NDArray[np.bool_],
-    cells: Cells,
-    window: Window,
-    reach: int,
-    doubt: Doubt,
+    x: Int32, y: Int32, z: Int32, eligible: npt.NDArray[np.bool_], cells: Cells, doubt: Doubt
 ) -> Seeds:
     """Lowest eligible point per cell of a lattice anchored at CRS coordinate 0, and the ring around them.
 
@@ -49,13 +42,10 @@ def choose_seeds(
     ----------
     x, y, z : int32 [n]
         Local counts; at least one point is eligible.
-    eligible, doubtful : bool [n]
-        No outlier; eligibility not certain.
+    eligible : bool [n]
+        No outlier.
     cells : Cells
         Side: the largest building.
-    window : Window
-    reach : int
-        Counts within which points outside the window can change a point's eligibility.
     doubt : Doubt
         Cells whose seed is not certain are added.
     """
@@ -67,8 +57,7 @@ def choose_seeds(
     heights = {(int(c), int(r)): int(h) for c, r, h in zip(columns, rows, z[chosen], strict=True)}
     virtual = _ring(heights)
     if doubt.active:
-        _doubt_cells(set(heights), set(virtual), cells, window.shrink(reach), doubt)
-        doubt.add_points(x, y, doubtful)
+        _doubt_cells(set(heights), cells, doubt)
     half = cells.p // (2 * cells.q)
     points = [(cells.west(c) + half, cells.south(r) + half, h) for (c, r), h in sorted(virtual.items())]
     return Seeds(chosen, np.array(points, np.int32).reshape(-1, 3))
@@ -81,7 +70,7 @@ def _neighbours(cell: tuple[int, int], reach: int = 1) -> list[tuple[int, int]]:
 
 
 def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
-    """Heights of the empty cells around the filled ones: mean of the filled 8-neighbours, growing outward (Chen 2023, 2.2)."""
+    """Heights of empty cells around filled ones: mean of the filled 8-neighbours, growing outward (Chen 2023, 2.2)."""
     filled = dict(heights)
     added: dict[tuple[int, int], int] = {}
     rim = set(heights)
@@ -97,31 +86,23 @@ def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
     return added
 
 
-def _doubt_cells(
-    filled: set[tuple[int, int]], virtual: set[tuple[int, int]], cells: Cells, known: Window, doubt: Doubt
-) -> None:
-    """Cells that are not wholly known, and virtual ones whose height came from such a cell."""
+def _doubt_cells(filled: set[tuple[int, int]], cells: Cells, doubt: Doubt) -> None:
+    """Put in doubt what may have another seed: cells not wholly known, and empty ones within the ring of such.
 
-    def box(cell: tuple[int, int]) -> tuple[int, int, int, int]:
-        c, r = cell
-        return cells.west(c), cells.south(r), cells.west(c + 1), cells.south(r + 1)
-
-    def unknown(cell: tuple[int, int]) -> bool:
-        west, south, east, north = box(cell)
-        return west < known.west or south < known.south or east > known.east or north > known.north
-
-    for cell in filled | virtual:
-        if unknown(cell) or (cell in virtual and any(unknown(n) for n in _neighbours(cell, RING))):
-            doubt.add_box(*box(cell))
+    An empty cell near the border has a virtual seed, or none, or one of another height if there is a point beyond.
+    """
+    known, deep = doubt.known.inside(cells), doubt.known.inside(cells, RING)
+    west, south, east, north = doubt.box
+    for row in range(cells.row(south), cells.row(north - 1) + 1):
+        for column in range(cells.column(west), cells.column(east - 1) + 1):
+            box = cells.west(column), cells.south(row), cells.west(column + 1), cells.south(row + 1)
+            if not deep.holds(*box) and not (known.holds(*box) and (column, row) in filled):
+                doubt.add_box(*box)
 
 
 def box_with_ring(x: Int32, y: Int32, cells: Cells) -> tuple[int, int, int, int]:
-    """West, south, east, north (local counts) of the data and of the virtual cells around them."""
+    """West, south, east, north (local counts) of all circles that hold data: see `RING`."""
     c0, c1 = cells.column(int(x.min())), cells.column(int(x.max()))
     r0, r1 = cells.row(int(y.min())), cells.row(int(y.max()))
-    return (
-        cells.west(c0 - RING),
-        cells.south(r0 - RING),
-        cells.west(c1 + RING + 1),
-        cells.south(r1 + RING + 1),
-    )
+    reach = RING + 1
+    return cells.west(c0 - reach), cells.south(r0 - reach), cells.west(c1 + reach + 1), cells.south(r1 + reach + 1)

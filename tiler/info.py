@@ -21,6 +21,10 @@ _POINTS_PER_CELL = 16
 _MOST_CELLS = 1024
 """Of the raster that measures how much of the extent holds points: mean content, cells along a side at most."""
 
+_RUN_FACTS = ("state", "version", "counts", "filter", "dtm", "outputs", "quarantined", "failed_tasks", "seconds",
+              "peak_rss_bytes")  # fmt: skip
+"""What the description of a result tells of its run.json; the rest is to be read there."""
+
 
 def describe(path: str) -> dict[str, Any]:
     """Say what is at a place.
@@ -169,7 +173,11 @@ def describe_result(folder: Path) -> dict[str, Any]:
         raise InputError(
             f"{folder / 'run.json'}: not valid JSON ({error}); run the same command again"
         ) from error
-    facts: dict[str, Any] = {"kind": "result", "path": str(folder), "run": run}
+    facts: dict[str, Any] = {
+        "kind": "result",
+        "path": str(folder),
+        **{name: run.get(name) for name in _RUN_FACTS},
+    }
     store = folder / "store.zarr"
     if store.is_dir():
         try:

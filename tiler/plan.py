@@ -43,7 +43,7 @@ PIECE_POINTS = 1_000_000
 GROUND_BYTES = 200
 """Of a ground point in a block's window: coordinates and the TIN."""
 MAX_GROUND = 4_000_000
-"""Points that the window of a part of a block may hold by the plan; denser clouds give one per quarter pixel, run-wide."""
+"""Points that the window of a part of a block may hold; denser clouds give one a quarter pixel, everywhere."""
 PART = 128
 """Pixels a side of the parts into which blocks are divided where points are many."""
 STORED_BYTES = 24
@@ -166,7 +166,8 @@ class Plan:
             f"z in {unit_label(frame.units.vertical)}",
             f"method      {self.config.method}" + (f", {self.passes} pass" if self.passes else "")
             + ("" if self.passes <= 1 else "es"),
-            f"DTM         {float(self.resolution):g} m pixels, nodata beyond facets of {float(self.config.max_edge):g} m",
+            f"DTM         {float(self.resolution):g} m pixels, "
+            f"nodata beyond facets of {float(self.config.max_edge):g} m",
             f"tiles       about {self.tiles} of {float(self.tile):g} m with {self.halo_m:g} m of halo, "
             f"overlap work {self.overlap:.2f}",
             f"memory      {memory[worst] / 2**20:,.0f} MiB a worker at most ({worst}), "
@@ -232,7 +233,8 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     plan = Plan(
         config, tuple(sources), tuple(unreadable), meta, limits, parameters,
         _resolution(config, density, notes), tile, halo, memory, config.workers or psutil.cpu_count() or 1,
-        defaults.candidate_cell_m if defaults else 0.0, len(defaults.passes) if defaults else 0, points, area, limits or extent, tuple(notes), tuple(warnings),
+        defaults.candidate_cell_m if defaults else 0.0, len(defaults.passes) if defaults else 0, points, area,
+        limits or extent, tuple(notes), tuple(warnings),
     )  # fmt: skip
     _refuse(plan, out)
     return plan
@@ -338,7 +340,8 @@ def _warnings(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo: f
     relief = (max(b[5] for b in z) - min(b[2] for b in z)) * float(units.vertical)
     if relief > WIDEST_RELIEF_M:
         found.append(
-            f"heights span {relief:,.0f} m, more than any terrain: noise far from the ground, or z is in another unit; --units h,v"
+            f"heights span {relief:,.0f} m, more than any terrain: noise far from the ground, "
+            "or z is in another unit; --units h,v"
         )
     for source in sources:
         assert source.bounds is not None  # the caller's choice
@@ -352,7 +355,8 @@ def _warnings(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo: f
     overlap = float(((tile + 2 * Fraction(halo)) / tile) ** 2)
     if overlap > 2:
         found.append(
-            f"tiles of {float(tile):g} m with {halo:g} m of halo do {overlap:.1f} times the work; use --tile-size {4 * halo:g} or more --memory"
+            f"tiles of {float(tile):g} m with {halo:g} m of halo do {overlap:.1f} times the work; "
+            f"use --tile-size {4 * halo:g} or more --memory"
         )
     return found
 
@@ -371,8 +375,8 @@ def _refuse(plan: Plan, out: Path | None) -> None:
     pixel = plan.meta.frame.counts(plan.resolution)
     if pixel.denominator > MAX_DENOMINATOR:
         raise ConfigError(
-            f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units is too odd a fraction; "
-            "give it in the unit of the CRS"
+            f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units "
+            "is too odd a fraction; give it in the unit of the CRS"
         )
     if plan.extent.empty:
         raise ConfigError("--bounds: holds no place")

@@ -194,18 +194,20 @@ def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], nam
         "name": name, "spec": spec.to_json(), "data": assembled.bounds().to_json(), "labels": None if keep else LABELS,
         "classes": list(plan.config.ground_classes) if keep else [2], "skip_flags": skip_flags(plan),
         "max_edge": str(max_edge), "halo": math.ceil(frame.counts(plan.grid_halo)),
-        "max_halo": full_halo(max_edge), "thin_cell": str(frame.counts(plan.resolution / 4)) if plan.thin_ground else None,
+        "max_halo": full_halo(max_edge),
+        "thin_cell": str(frame.counts(plan.resolution / 4)) if plan.thin_ground else None,
     }  # fmt: skip
     for block in spec.blocks(GRID_BLOCK):
         window = spec.block_bounds(block).pad(full_halo(max_edge))
-        seen = [[c.ix, c.iy, labels[c]] for c in plan.meta.bucket.cells(window) if c in labels]
-        if not seen:
+        near = [cell for cell in plan.meta.bucket.cells(window) if cell in labels]
+        if not near:
             continue
+        seen = [[cell.ix, cell.iy, labels[cell]] for cell in near]
         arguments = {**common, "block": [block.row, block.col, block.height, block.width]}
         # In how many parts a block is done changes nothing: it is no part of the digest.
         digest = digest_of(__version__, arguments, seen)
         arguments["max_points"] = plan.block_points
-        points = sum(assembled.records[Cell(ix, iy)]["n"] for ix, iy, _ in seen)
+        points = sum(assembled.records[cell]["n"] for cell in near)
         yield Task(f"grid-{name}", block.name, digest, grid_block, arguments, points)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import click
@@ -11,15 +12,9 @@ from cli.output import print_facts, print_json
 from cli.session import TilerCommand, current_session
 
 SETTINGS = (
-    "method",
-    "parameters",
-    "memory",
-    "units",
-    "keep_classes",
-    "skip_synthetic",
-    "skip_overlap",
-    "salvage",
-)
+    "method", "parameters", "tile_size", "halo", "memory", "workers", "units", "keep_classes", "skip_synthetic",
+    "skip_overlap", "salvage",
+)  # fmt: skip
 
 
 @click.command("classify", cls=TilerCommand)
@@ -35,9 +30,12 @@ def command(source: str, target: str, as_json: bool, **settings: Any) -> None:
     """
     config = read_config(settings)
     from tiler.classify import classify_file
+    from tiler.observe.progress import open_progress
 
-    facts = classify_file(source, target, config)
+    session = current_session()
+    with open_progress(sys.stderr, session.quiet) as listener:
+        facts = classify_file(source, target, config, listener)
     if as_json:
         print_json(facts)
-    elif not current_session().quiet:
-        print_facts(facts)
+    elif not session.quiet:
+        print_facts({name: value for name, value in facts.items() if name != "parameters"})

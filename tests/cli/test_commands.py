@@ -120,6 +120,20 @@ def test_plan(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     assert json.loads(capsys.readouterr().out) == {"tiles": 4}
 
 
+def test_classify(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def classify_file(source: str, target: str, config: RunConfig, listener: Any) -> dict[str, Any]:
+        listener("note", {"text": "metres assumed"})
+        assert (source, target, config) == ("a.las", "b.laz", RunConfig(keep_classes=()))
+        return {"points": 7, "parameters": {"rounds": 1}}
+
+    monkeypatch.setattr("tiler.classify.classify_file", classify_file)
+    assert main(["classify", "a.las", "b.laz", "--keep-classes", ""]) == 0
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("points  7\n", "metres assumed\n")
+    assert main(["classify", "a.las", "b.laz", "--keep-classes", "", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["parameters"] == {"rounds": 1}
+
+
 def test_methods_tells_every_parameter(capsys: pytest.CaptureFixture[str]) -> None:
     from ptd.methods import METHODS
 

@@ -108,8 +108,14 @@ def test_what_is_no_cloud_store_or_raster(name: str, tmp_path: Path) -> None:
 
 
 def test_result_folder(tmp_path: Path) -> None:
-    (tmp_path / "run.json").write_text('{"state": "done"}')
-    assert describe(str(tmp_path)) == {"kind": "result", "path": str(tmp_path), "run": {"state": "done"}}
+    (tmp_path / "run.json").write_text('{"state": "done", "counts": {"stored": 7}, "plan": {}}')
+    facts = describe(str(tmp_path))
+    assert (facts["kind"], facts["state"], facts["counts"], facts["dtm"]) == (
+        "result",
+        "done",
+        {"stored": 7},
+        None,
+    )
     (tmp_path / "run.json").write_text("{")
     with pytest.raises(InputError, match="not valid JSON"):
         describe(str(tmp_path))

@@ -40,4 +40,5 @@ def participates(
     """
     kept = np.zeros(256, dtype=np.bool_)
     kept[list(keep_classes)] = True
-    return ~kept[classification] & ((flags & (skip_flags | WITHHELD_FLAG)) == 0)
+    taking: npt.NDArray[np.bool_] = ~kept[classification] & ((flags & (skip_flags | WITHHELD_FLAG)) == 0)
+    return taking

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -43,24 +44,27 @@ class PointBlock:
 
     def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_] | slice) -> PointBlock:
         """The points of ``index`` (indices, a mask or a slice), in that order."""
-        columns = (getattr(self, f.name) for f in fields(self))
-        return PointBlock(*(None if c is None else c[..., index] for c in columns))
+        taken: dict[str, Any] = {}
+        for name in (f.name for f in fields(PointBlock)):
+            column = getattr(self, name)
+            taken[name] = None if column is None else column[..., index]
+        return PointBlock(**taken)
 
     def inside(self, bounds: Bounds, origin: tuple[int, int]) -> npt.NDArray[np.bool_]:
         """Mask of the points in ``bounds`` (absolute counts), given the frame's origin."""
         x = self.xyz[0].astype(np.int64) + origin[0]
         y = self.xyz[1].astype(np.int64) + origin[1]
-        return (x >= bounds.x0) & (x < bounds.x1) & (y >= bounds.y0) & (y < bounds.y1)
+        mask: npt.NDArray[np.bool_] = (x >= bounds.x0) & (x < bounds.x1) & (y >= bounds.y0) & (y < bounds.y1)
+        return mask
 
     @staticmethod
     def concatenate(blocks: Sequence[PointBlock]) -> PointBlock:
         """All points of ``blocks`` (at least one) in order; a column that one block lacks is None."""
-        names = [f.name for f in fields(PointBlock)]
-        joined = []
-        for name in names:
+        joined: dict[str, Any] = {}
+        for name in (f.name for f in fields(PointBlock)):
             columns = [getattr(b, name) for b in blocks]
-            joined.append(None if any(c is None for c in columns) else np.concatenate(columns, axis=-1))
-        return PointBlock(*joined)
+            joined[name] = None if any(c is None for c in columns) else np.concatenate(columns, axis=-1)
+        return PointBlock(**joined)
 
 
 SOURCE_SHIFT = 40

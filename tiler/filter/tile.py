@@ -17,6 +17,7 @@ from ptd.methods import METHODS
 from ptd.passes import Model
 from tiler.core.classes import participates
 from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.points import PointBlock
 from tiler.store import TileStore, open_store
 
 LABELS = "labels"
@@ -37,9 +38,9 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ----------
     store_url : str
     args : dict
-        ``method``, ``parameters`` (JSON of the dataclass), ``pass`` (number), ``state`` (of the passes before); ``cells``
-        ([[ix, iy], ...], the buckets of the core); ``halo``, ``max_halo`` (counts); ``keep_classes``, ``skip_flags``: see
-        `tiler.core.classes.participates`.
+        ``method``, ``parameters`` (JSON of the dataclass), ``pass`` (number), ``state`` (of the passes before);
+        ``cells`` ([[ix, iy], ...], the buckets of the core); ``halo``, ``max_halo`` (counts); ``keep_classes``,
+        ``skip_flags``: see `tiler.core.classes.participates`.
 
     Returns
     -------
@@ -129,20 +130,22 @@ def _candidates(
     if nested:
         return store.window(window, ("xyz",), candidates_only=True).xyz
     block = store.window(window, ("xyz", "classification", "flags"), candidates_only=False)
-    assert block.classification is not None and block.flags is not None  # asked for above
-    return block.xyz[
-        :, participates(block.classification, block.flags, args["keep_classes"], args["skip_flags"])
-    ]
+    return block.xyz[:, _taking_part(block, args)]
 
 
 def _label(store: TileStore, cell: Cell, model: Model, args: dict[str, Any]) -> npt.NDArray[np.uint8]:
     """Labels with marks of all points of a bucket, in its order."""
     block = store.read_bucket(cell, ("xyz", "classification", "flags"))
-    assert block.classification is not None and block.flags is not None  # asked for above
     labels, marked = model.label(block.xyz)
     labels = labels | (marked.astype(np.uint8) * np.uint8(MARK_BIT))
-    labels[~participates(block.classification, block.flags, args["keep_classes"], args["skip_flags"])] = KEEP
+    labels[~_taking_part(block, args)] = KEEP
     return labels
+
+
+def _taking_part(block: PointBlock, args: dict[str, Any]) -> npt.NDArray[np.bool_]:
+    if block.classification is None or block.flags is None:
+        raise ValueError("points were read without their classes and flags")
+    return participates(block.classification, block.flags, args["keep_classes"], args["skip_flags"])
 
 
 def _digest(columns: Iterable[npt.NDArray[np.uint8]]) -> str:

@@ -76,7 +76,8 @@ class _PlainLines:
             self._write(failure_text(fields))
         elif event == "stage_started":
             stage = _stage_of(fields, self._clock())
-            self._stages[stage.name] = stage
+            if stage.tasks_done < stage.tasks:  # else there is nothing to tell of its end
+                self._stages[stage.name] = stage
             self._write(f"{stage.name}: {start_text(stage)}")
         elif event == "task_done" and fields["stage"] in self._stages:
             stage = self._stages[fields["stage"]]

@@ -9,7 +9,7 @@ __all__ = ["Executor", "Outcome", "Perform", "SerialExecutor", "Task", "Work", "
 
 
 def make_executor(workers: int, address: str | None = None) -> Executor:
-    """This process for one worker, else Dask (imported only then)."""
+    """Make one that works in this process for one worker, else on Dask (imported only then)."""
     if workers == 1 and address is None:
         return SerialExecutor()
     from tiler.schedule.workers import DaskExecutor

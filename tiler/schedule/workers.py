@@ -11,7 +11,8 @@ import signal
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from distributed import Client, KilledWorker, LocalCluster, as_completed
+import distributed
+from distributed import KilledWorker, WorkerPlugin
 
 from tiler.errors import ConfigError
 from tiler.schedule.task import Outcome, Perform, Task
@@ -22,9 +23,18 @@ IN_FLIGHT_PER_WORKER = 2
 CONNECT_SECONDS = 20
 
 
-def _leave_interrupts_to_the_client() -> None:
-    """Ctrl-C reaches every process of a terminal; a worker ends when its client says so."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+_dask: Any = distributed
+"""Its functions have no types."""
+
+
+class _Patience(WorkerPlugin):
+    """Ctrl-C reaches every process of a terminal; a worker, also one that replaces a dead one, ends with its client."""
+
+    name = "tiler-patience"
+
+    def setup(self, worker: Any) -> None:
+        """In the worker's main thread, before its first task."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class DaskExecutor:
@@ -47,16 +57,16 @@ class DaskExecutor:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._cluster: Any = None
         if address is None:
-            self._cluster = LocalCluster(
+            self._cluster = _dask.LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
                 dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
             )  # fmt: skip
-            self._client = Client(self._cluster)
-            self._client.run(_leave_interrupts_to_the_client)
+            self._client: Any = _dask.Client(self._cluster)
+            self._client.register_plugin(_Patience())
             self.workers = workers
             return
         try:
-            self._client = Client(address, timeout=CONNECT_SECONDS)
+            self._client = _dask.Client(address, timeout=CONNECT_SECONDS)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
         self.workers = len(self._client.scheduler_info(n_workers=-1)["workers"])
@@ -72,7 +82,7 @@ class DaskExecutor:
         running: dict[str, Task] = {}
         room = IN_FLIGHT_PER_WORKER * self.workers
         first = [self._submit(perform, store_url, task, running) for task in itertools.islice(waiting, room)]
-        done = as_completed(first)
+        done = _dask.as_completed(first)
         for future in done:
             task = running.pop(future.key)
             yield self._outcome(future, task)

@@ -83,6 +83,7 @@ def test_a_stage_that_was_done_before_says_so() -> None:
     stream = io.StringIO()
     with plain_progress(stream) as listen:
         listen("stage_started", {"stage": "grid", "tasks": 9, "points": 0, "done": 9})
+        listen("stage_finished", {"stage": "grid", "seconds": 0.01})
     assert stream.getvalue() == "grid: nothing to do, all 9 tasks were done before\n"
 
 
