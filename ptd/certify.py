@@ -45,7 +45,15 @@ def _mark_places(
 
 @kernel
 def _circle_in_doubt(
-    bx: float, by: float, cx: float, cy: float, ax: float, ay: float, sides: Float64, cell: float, free: Float32
+    bx: float,
+    by: float,
+    cx: float,
+    cy: float,
+    ax: float,
+    ay: float,
+    sides: Float64,
+    cell: float,
+    free: Float32,
 ) -> bool:
     """Whether the circle through a, a + b, a + c may hold a place in doubt (rarely a wrong yes, never a wrong no)."""
     area = 2.0 * (bx * cy - by * cx)
@@ -127,7 +135,10 @@ class Doubt:
     def add_box(self, west: int, south: int, east: int, north: int) -> None:
         """Put a half-open rectangle of local counts in doubt."""
         c0, r0 = max((west - self.west) // self.cell, 0), max((south - self.south) // self.cell, 0)
-        c1, r1 = max((east - 1 - self.west) // self.cell + 1, 0), max((north - 1 - self.south) // self.cell + 1, 0)
+        c1, r1 = (
+            max((east - 1 - self.west) // self.cell + 1, 0),
+            max((north - 1 - self.south) // self.cell + 1, 0),
+        )
         self.mask[r0:r1, c0:c1] = 1
         self._stale = True
 

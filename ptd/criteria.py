@@ -17,7 +17,6 @@ from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
 
-
 UInt8 = npt.NDArray[np.uint8]
 
 
@@ -167,7 +166,14 @@ def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) 
 
 @kernel
 def accepts(
-    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, limits: Limits, in_doubt: UInt8
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    limits: Limits,
+    in_doubt: UInt8,
 ) -> tuple[bool, bool, bool]:
     """Axelsson's test of a point that lies in triangle t (a real one).
 

@@ -1,15 +1,51 @@
-"""The one place that names the compiler of the numeric kernels."""
+"""The one place that names the compiler of the numeric kernels, and where their machine code is kept.
 
+Kernels compile once per machine and version. numba's cache looks at a kernel's own source file alone, so after an
+upgrade it would take old code of the kernels that it calls for fresh. Here the folder's name holds a digest of all
+sources of the package; it lies in ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache folder, else in a
+folder of the user's own among the temporary files. Where none can be written each process compiles for itself.
+"""
+
+import functools
+import hashlib
+import os
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import ParamSpec, SupportsInt, TypeVar, cast
 
+import numba
 import numpy as np
-from numba import njit
 
-__all__ = ["kernel", "wide"]
+__all__ = ["cache_folder", "kernel", "wide"]
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
+
+
+@functools.cache
+def cache_folder() -> Path | None:
+    """The folder of this version's machine code, made if need be; None where there is no place for one."""
+    digest = hashlib.blake2b(numba.__version__.encode(), digest_size=8)
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    places = (os.environ.get("NUMBA_CACHE_DIR"), home, os.path.join(tempfile.gettempdir(), f"cache-{user}"))
+    for place in places:
+        if place and _usable(folder := Path(place) / "tiler-kernels" / digest.hexdigest()):
+            return folder
+    return None
+
+
+def _usable(folder: Path) -> bool:
+    """Whether a folder is there or can be made, is the user's own (it holds code) and can be written."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        own = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
+    except OSError:
+        return False
+    return own and os.access(folder, os.W_OK)
 
 
 def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
@@ -28,7 +64,13 @@ def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _R
     callable
         The compiled function, with the same signature for the type checker.
     """
-    return cast(Callable[_Parameters, _Result], njit(cache=True, nogil=True)(function))
+    folder, before = cache_folder(), numba.config.CACHE_DIR
+    try:
+        numba.config.CACHE_DIR = str(folder or "")
+        compiled = numba.njit(cache=folder is not None, nogil=True)(function)
+    finally:
+        numba.config.CACHE_DIR = before  # other packages keep their own place
+    return cast(Callable[_Parameters, _Result], compiled)
 
 
 @kernel

@@ -99,7 +99,15 @@ def _label(
 
 
 def label_points(
-    tin: Tin, locator: Locator, x: Int32, y: Int32, z: Int32, in_doubt: UInt8, limits: Limits, floor: float
+    tin: Tin,
+    locator: Locator,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    in_doubt: UInt8,
+    limits: Limits,
+    floor: float,
+    vertices_only: bool = False,
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Ground or not, against the finished TIN.
 

@@ -105,4 +105,9 @@ def box_with_ring(x: Int32, y: Int32, cells: Cells) -> tuple[int, int, int, int]
     c0, c1 = cells.column(int(x.min())), cells.column(int(x.max()))
     r0, r1 = cells.row(int(y.min())), cells.row(int(y.max()))
     reach = RING + 1
-    return cells.west(c0 - reach), cells.south(r0 - reach), cells.west(c1 + reach + 1), cells.south(r1 + reach + 1)
+    return (
+        cells.west(c0 - reach),
+        cells.south(r0 - reach),
+        cells.west(c1 + reach + 1),
+        cells.south(r1 + reach + 1),
+    )

@@ -16,7 +16,9 @@ from tiler.core.units import parse_length
 from tiler.errors import ConfigError
 
 
-def setting(default: Any, help: str, *, unit: str = "", kind: str = "text", choices: tuple[str, ...] = ()) -> Any:
+def setting(
+    default: Any, help: str, *, unit: str = "", kind: str = "text", choices: tuple[str, ...] = ()
+) -> Any:
     """A field of `RunConfig` with what people need to know about it."""
     return field(default=default, metadata={"help": help, "unit": unit, "kind": kind, "choices": choices})
 
@@ -26,8 +28,12 @@ class RunConfig:
     """Everything that a run can be told; ``None`` means "decide from the data, and say so"."""
 
     method: str = setting("classic", "ground filter (see `tiler methods`); `keep` trusts the input's classes")
-    parameters: tuple[tuple[str, str], ...] = setting((), "parameters of the method, name=value", kind="pairs")
-    ground_classes: tuple[int, ...] = setting((2,), "classes that `--method keep` grids as ground", kind="classes")
+    parameters: tuple[tuple[str, str], ...] = setting(
+        (), "parameters of the method, name=value", kind="pairs"
+    )
+    ground_classes: tuple[int, ...] = setting(
+        (2,), "classes that `--method keep` grids as ground", kind="classes"
+    )
     resolution: Fraction | None = setting(None, "pixel size; default 1 m, or the spacing of the ground where that "
                                           "is coarser", unit="m", kind="length")  # fmt: skip
     tile_size: Fraction | None = setting(None, "side of a filter tile; default from density and memory",
@@ -39,11 +45,19 @@ class RunConfig:
     memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "
                                  "if that is less", unit="bytes", kind="bytes")  # fmt: skip
     workers: int | None = setting(None, "worker processes, one thread each; default: cores", kind="int")
-    scheduler: str | None = setting(None, "address of a running Dask scheduler, instead of local workers")
+    scheduler: str | None = setting(
+        None, "address of a running Dask scheduler; default: workers on this machine"
+    )
     store: str | None = setting(None, "where the tile store lies; default OUT/store.zarr")
-    crs: str | None = setting(None, "CRS of files that have none (EPSG:..., WKT); `none`: unknown, metres assumed")
-    units: str | None = setting(None, "units of the coordinates, h or h,v (m, ft, usft); overrides the CRS's")
-    bounds: tuple[float, float, float, float] | None = setting(None, "only this part: X0 Y0 X1 Y1 in CRS units",
+    crs: str | None = setting(
+        None,
+        "CRS of files that have none (EPSG:..., WKT), or `none`: unknown, metres "
+        "assumed; default: a file without CRS is an error",
+    )
+    units: str | None = setting(
+        None, "units of the coordinates, h or h,v (m, ft, usft); default: those of the CRS"
+    )
+    bounds: tuple[float, float, float, float] | None = setting(None, "only this part: X0 Y0 X1 Y1 in CRS units; default: everything",
                                                                kind="bounds")  # fmt: skip
     keep_classes: tuple[int, ...] = setting((7, 9, 17, 18), "classes that take no part in filtering and are "
                                             "never overwritten", kind="classes")  # fmt: skip
@@ -52,7 +66,9 @@ class RunConfig:
     compress: str = setting("deflate", "compression of rasters", kind="choice", choices=("deflate", "zstd"))
     on_error: str = setting("skip", "what a broken file or tile does to the run", kind="choice",
                             choices=("skip", "stop"))  # fmt: skip
-    salvage: bool = setting(False, "read what is there of a truncated file instead of leaving it out", kind="flag")
+    salvage: bool = setting(
+        False, "read what is there of a truncated file instead of leaving it out", kind="flag"
+    )
     verify: bool = setting(False, "read the inputs again to see whether they changed", kind="flag")
     overwrite: bool = setting(False, "start anew instead of going on with what OUT holds", kind="flag")
     clean_store: bool = setting(False, "remove the store when the run is done", kind="flag")

@@ -22,11 +22,12 @@ from tiler.config import RunConfig
 from tiler.core.lattice import Cell
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.errors import ConfigError, InputError, ProcessingError
+from tiler.filter import LABELS
 from tiler.ingest import SourceInfo
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
 from tiler.perform import peak_rss_bytes, perform
-from tiler.plan import GRID_BLOCK, KEEP, Plan, crs_name, make_plan
+from tiler.plan import GRID_BLOCK, KEEP, Plan, crs_name, make_plan, refuse
 from tiler.report import write_run_file
 from tiler.schedule import Executor, Outcome, Task, digest_of, make_executor
 from tiler.store import BucketInfo, TileStore, create_store, open_store, remove_store, store_exists
@@ -90,17 +91,29 @@ class Job:
         """Tell people what was decided for them."""
         self.listener("note", {"text": text})
 
+    def sorted_out(self, stage: str, tasks: Iterable[Task]) -> tuple[Commits, Commits]:
+        """Commits of a stage that hold for these tasks, and those that do not: of other settings or inputs."""
+        digests = {task.key: task.digest for task in tasks}
+        found = self.store.committed(stage)
+        done = {key: commit for key, commit in found.items() if commit[0] == digests.get(key)}
+        return done, {key: commit for key, commit in found.items() if key not in done}
+
+    def take_back(self, stage: str, keys: Iterable[str]) -> None:
+        """Tasks are done no more: always before what they wrote is overwritten or removed.
+
+        Else a run that is killed on the way would leave commits whose data are another run's.
+        """
+        for key in keys:
+            self.store.uncommit(stage, key)
+
     def perform(self, stage: str, tasks: Iterable[Task], warm: Warm | None = None) -> Commits:
         """Do what is not done yet of a stage; commits of all its tasks that succeeded.
 
         ``warm`` compiles the kernels of the stage, here and once, before local workers would each do so.
         """
         wanted = {task.key: task for task in tasks}
-        done = {
-            k: c for k, c in self.store.committed(stage).items() if k in wanted and c[0] == wanted[k].digest
-        }
-        for stale in self.store.committed(stage).keys() - done.keys():
-            self.store.uncommit(stage, stale)
+        done, stale = self.sorted_out(stage, wanted.values())
+        self.take_back(stage, stale)
         todo = [task for key, task in wanted.items() if key not in done]
         info = {
             "stage": stage,
@@ -330,10 +343,13 @@ def _input_facts(source: Source, spooled: Commits) -> dict[str, Any]:
 def _assemble(job: Job, spooled: Commits) -> Assembled:
     """Points into buckets; tell of duplicates and of what takes no part."""
     fragments = fragments_of(spooled)
+    tasks = list(assemble_tasks(job.plan, spooled, fragments))
+    _, stale = job.sorted_out("assemble", tasks)
+    _forget_labels(job, stale)
+    job.take_back("assemble", stale)
     job.store.allocate(
         {cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()}
     )
-    tasks = list(assemble_tasks(job.plan, spooled, fragments))
     commits = job.perform("assemble", tasks)
     assembled = Assembled.of(commits)
     if len(commits) < len(tasks):
@@ -353,11 +369,27 @@ def _assemble(job: Job, spooled: Commits) -> Assembled:
     return assembled
 
 
+def _forget_labels(job: Job, stale: Commits) -> None:
+    """Take back the tiles whose buckets are written anew: a bucket that moves to other rows loses its labels."""
+    cells = {tuple(bucket["cell"]) for _, record in stale.values() for bucket in record["buckets"]}
+    for number in range(job.store.get_state("passes") or 0):
+        stage = f"filter{number}"
+        tiles = job.store.committed(stage) if cells else {}
+        job.take_back(
+            stage, [k for k, (_, r) in tiles.items() if not cells.isdisjoint(map(tuple, r["cells"]))]
+        )
+
+
 def _filter(job: Job, assembled: Assembled) -> dict[Cell, str]:
     """Run the passes of the method; digests of the final labels by bucket."""
     if job.plan.config.method == KEEP:
         return assembled.digests
     passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
+    ever = max(job.store.get_state("passes") or 0, len(passes))
+    job.store.put_state("passes", ever)
+    for number in range(len(passes), ever):
+        job.store.clear(f"filter{number}")  # its labels are about to be overwritten
+    tasks: list[Task] = []
     state: dict[str, Any] = {}
     filtered: Commits = {}
     for number, step in enumerate(passes):
@@ -368,7 +400,17 @@ def _filter(job: Job, assembled: Assembled) -> dict[Cell, str]:
         state = step.reduce((record["partial"] for _, record in filtered.values()), state)
         job.store.put_state(f"after-{step.name}", state)
         job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
+    for task in tasks:
+        if task.key not in filtered:
+            _keep_classes(job, task)
     return label_digests(job.plan, assembled, filtered)
+
+
+def _keep_classes(job: Job, task: Task) -> None:
+    """The points of a tile that failed have no label: not that of an earlier run, either."""
+    buckets = job.store.buckets()
+    for cell in (Cell(*indices) for indices in task.arguments["cells"]):
+        job.store.write_labels(LABELS, cell, np.zeros(buckets[cell].n, np.uint8))
 
 
 def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:
@@ -393,12 +435,15 @@ def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[s
 def _grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> tuple[RasterSpec, Commits]:
     """The terrain's raster, block by block."""
     name, spec = "dtm", raster_spec(job.plan, assembled)
-    job.store.create_raster(name, spec.height, spec.width)
     tasks = list(grid_tasks(job.plan, assembled, labels, name))
-    unused = job.store.committed(f"grid-{name}").keys() - {task.key for task in tasks}
-    for block in spec.blocks(GRID_BLOCK):
-        if block.name in unused:
-            job.store.write_block(name, block, np.full((block.height, block.width), NODATA, np.float32))
+    done, stale = job.sorted_out(f"grid-{name}", tasks)
+    job.take_back(f"grid-{name}", stale)
+    job.store.create_raster(name, spec.height, spec.width)
+    if job.store.get_state(f"raster-{name}"):  # an earlier run wrote blocks that this one may not write again
+        for block in spec.blocks(GRID_BLOCK):
+            if block.name not in done:
+                job.store.write_block(name, block, np.full((block.height, block.width), NODATA, np.float32))
+    job.store.put_state(f"raster-{name}", spec.to_json())
     gridded = job.perform(f"grid-{name}", tasks, warm_gridding)
     if tasks and not gridded:
         raise ProcessingError(f"no block could be gridded; the first: {job.failed[0]['error']}")
@@ -496,4 +541,6 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
     config = plan.config
     tile = config.tile_size or Fraction(settled.get("tile", str(plan.tile)))
     resolution = config.resolution or Fraction(settled.get("resolution", str(plan.resolution)))
-    return dataclasses.replace(plan, meta=old, tile=tile, resolution=resolution), store
+    plan = dataclasses.replace(plan, meta=old, tile=tile, resolution=resolution)
+    refuse(plan, None)
+    return plan, store

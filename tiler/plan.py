@@ -118,18 +118,29 @@ class Plan:
 
     def projected_memory(self) -> dict[str, int]:
         """Peak bytes of a worker by stage."""
-        fine = candidate_density(self.density, self.candidate_cell_m)
-        window = (float(self.tile) + 2 * self.halo_m) ** 2
         bucket = self.density * float(self.meta.bucket.size * self.meta.frame.metres_xy) ** 2
         return {
             "ingest": int(BASE_BYTES + max(PIECE_POINTS * 160, bucket * BUCKET_POINT_BYTES * 4)),
-            "filter": int(
-                BASE_BYTES
-                + min(fine * window, self.points) * candidate_bytes(self.candidate_cell_m)
-                + bucket * BUCKET_POINT_BYTES
-            ),
+            "filter": self._filter_bytes(self.widest_halo_m),
             "grid": BASE_BYTES + min(self.points, self.block_points) * GROUND_BYTES,
         }
+
+    def _filter_bytes(self, halo_m: float) -> int:
+        """Peak bytes of a worker that filters a tile with that halo."""
+        window = (float(self.tile) + 2 * halo_m) ** 2
+        candidates = min(candidate_density(self.density, self.candidate_cell_m) * window, self.points)
+        bucket = self.density * float(self.meta.bucket.size * self.meta.frame.metres_xy) ** 2
+        return int(
+            BASE_BYTES + candidates * candidate_bytes(self.candidate_cell_m) + bucket * BUCKET_POINT_BYTES
+        )
+
+    @property
+    def widest_halo_m(self) -> float:
+        """Metres of halo that a tile with marks may take: doubled and doubled again while the memory allows."""
+        halo = self.halo_m
+        while 0 < halo < MAX_HALO_FACTOR * self.halo_m and self._filter_bytes(2 * halo) <= self.memory:
+            halo *= 2
+        return halo
 
     def projected_disk(self) -> int:
         """Bytes of store, rasters (three copies while the COG is made) and classified clouds."""
@@ -236,7 +247,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
         defaults.candidate_cell_m if defaults else 0.0, len(defaults.passes) if defaults else 0, points, area,
         limits or extent, tuple(notes), tuple(warnings),
     )  # fmt: skip
-    _refuse(plan, out)
+    refuse(plan, out)
     return plan
 
 
@@ -361,8 +372,8 @@ def _warnings(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo: f
     return found
 
 
-def _refuse(plan: Plan, out: Path | None) -> None:
-    """Settings that would fail on the way."""
+def refuse(plan: Plan, out: Path | None) -> None:
+    """Raise ConfigError for settings that would fail on the way: memory, disk, resolution, bounds."""
     memory = plan.projected_memory()
     worst = max(memory, key=lambda k: memory[k])
     if memory[worst] > plan.memory:

@@ -14,15 +14,16 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from ptd.methods import METHODS
 from tiler import __version__
 from tiler.core.classes import OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
 from tiler.export import write_classified, write_cog
-from tiler.filter import LABELS, filter_tile
+from tiler.filter import LABELS, filter_tile, sight_m
 from tiler.grid import full_halo, grid_block
 from tiler.ingest import SourceInfo, assemble_buckets, pieces, spool_piece
-from tiler.plan import GRID_BLOCK, KEEP, MAX_HALO_FACTOR, PIECE_POINTS, Plan
+from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
 
 GROUP = 4
@@ -139,22 +140,19 @@ def filter_tasks(plan: Plan, assembled: Assembled, number: int, state: Mapping[s
     """One for each tile of a pass."""
     frame = plan.meta.frame
     halo = math.ceil(frame.counts(Fraction(plan.halo_m)))
-    farthest = MAX_HALO_FACTOR * halo
+    farthest = math.ceil(frame.counts(Fraction(plan.widest_halo_m)))
+    params = METHODS[plan.config.method].params(**plan.parameters)
+    sight = farthest + math.ceil(frame.counts(Fraction(sight_m(params))))
     for tile, cells in tiles_of(plan, assembled.records).items():
         arguments = {
             "method": plan.config.method, "parameters": plan.parameters, "pass": number, "state": dict(state),
             "cells": [[c.ix, c.iy] for c in cells], "halo": halo, "max_halo": farthest,
             "keep_classes": list(plan.config.keep_classes), "skip_flags": skip_flags(plan),
         }  # fmt: skip
-        seen = _around(plan.meta.bucket, cells, farthest + _reach(plan), assembled.digests)
+        seen = _around(plan.meta.bucket, cells, sight, assembled.digests)
         points = sum(assembled.records[c]["n"] for c in cells)
         digest = digest_of(__version__, arguments, seen)
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, arguments, points)
-
-
-def _reach(plan: Plan) -> int:
-    """Counts beyond a window at which occupied buckets still matter (see `filter.tile`), generously."""
-    return math.ceil(plan.meta.frame.counts(Fraction(6 * plan.halo_m)))
 
 
 def _around(lattice: Lattice, cells: Iterable[Cell], pad: int, digests: Mapping[Cell, str]) -> list[Any]:

@@ -6,15 +6,17 @@ parameter         paper's name and value      default   reason
 max_building_size max building size 30 (000),  20 m     Ridge 2016's value; larger cells lose hill tops, smaller ones
                   20 (003), TerraScan 60                take seeds on roofs
 terrain_angle     terrain angle 88            88 deg    the papers' value
-iteration_angle   iteration angle 6           see below the papers' value, or what the samples ask for
+iteration_angle   iteration angle 6           25 deg    what the ISPRS samples ask for; 6 loses a quarter of the ground
 iteration_distance iteration distance 1.4     1.4 m     the papers' value for slopes
 ================  ==========================  ========  ==============================================================
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -29,7 +31,7 @@ from ptd.labelling import LOW_NOISE, Locator, LowNoise, label_points
 from ptd.outliers import low_outliers
 from ptd.params import check, parameter
 from ptd.passes import Int32, Method, State, UInt8
-from ptd.seeds import box_with_ring, choose_seeds
+from ptd.seeds import RING, box_with_ring, choose_seeds
 from ptd.tin.layout import N_TRIANGLES, N_VERTICES
 from ptd.tin.mesh import Tin
 
@@ -115,7 +117,7 @@ class Classic:
     @property
     def margin_m(self) -> float:
         """What lies around the whole cells of a window still decides on outliers within them."""
-        return self.low_radius_m if self.low_group else 0.0
+        return _margin_cells(self) * (self.thin_cell_m or 1.0)
 
     @property
     def candidate_cell_m(self) -> float:
@@ -150,6 +152,7 @@ class ClassicModel:
             terrain_deg=p.terrain_angle_deg, reduce_m=p.edge_length_reduce_m, stop_m=p.edge_length_stop_m,
         )  # fmt: skip
         self.cells = Cells.of(p.thin_cell_m or 1.0, scale)
+        self._closed = window.closed
         x, y, z = thinned(candidates, p.thin_cell_m, scale)
         self.stats: dict[str, Any] = {
             "candidates": int(x.size),
@@ -164,13 +167,14 @@ class ClassicModel:
 
     def _densify(self, x: Int32, y: Int32, z: Int32, window: Window) -> None:
         p, scale = self.params, self.scale
-        outlier, doubtful = low_outliers(x, y, z, scale, window, p.low_radius_m, p.low_depth_m, p.low_group)
+        outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
         self._col0, self._row0 = self.cells.column(int(x.min())), self.cells.row(int(y.min()))
         self.low = LowNoise(self._keys(x[outlier], y[outlier]), z[outlier])
         seed_cells = Cells.of(p.max_building_size_m, scale)
-        doubt = Doubt(window, box_with_ring(x, y, seed_cells), scale)
-        reach = int(np.ceil(scale.counts(p.low_radius_m))) if p.low_group else 0
-        seeds = choose_seeds(x, y, z, ~outlier, doubtful, seed_cells, window, reach, doubt)
+        # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
+        known = window.inside(self.cells, _margin_cells(p))
+        doubt = Doubt(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
+        seeds = choose_seeds(x, y, z, ~outlier, seed_cells, doubt)
         state = np.where(outlier, np.uint8(REFUSED), np.uint8(0)).astype(np.uint8)
         state[seeds.chosen] = VERTEX
         first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
@@ -192,9 +196,12 @@ class ClassicModel:
         """Labels and marks of points of the window."""
         x, y, z = (np.ascontiguousarray(c) for c in xyz)
         if self.tin is None:
-            return np.ones(x.size, np.uint8), np.zeros(x.size, np.bool_)
-        floor = self.scale.counts(self.params.label_floor_m)
-        labels, marked = label_points(self.tin, self.locator, x, y, z, self.in_doubt, self.limits, floor)
+            return np.ones(x.size, np.uint8), np.full(x.size, self._closed)
+        only = not self.params.label_pass
+        floor = 0.0 if only else self.scale.counts(self.params.label_floor_m)
+        labels, marked = label_points(
+            self.tin, self.locator, x, y, z, self.in_doubt, self.limits, floor, only
+        )
         if self.low.keys.size:
             labels[(labels != 2) & self.low.holds(self._keys(x, y), z)] = LOW_NOISE
         return labels, marked
@@ -204,8 +211,15 @@ class ClassicModel:
         return {}
 
 
+def _margin_cells(params: Classic) -> int:
+    """Thinning cells that hold the radius of the search for low outliers."""
+    if not params.low_group:
+        return 0
+    return math.ceil(Fraction(repr(params.low_radius_m)) / Fraction(repr(params.thin_cell_m or 1.0)))
+
+
 def thinned(candidates: Int32, cell_m: float, scale: Scale) -> tuple[Int32, Int32, Int32]:
-    """The lowest candidate per cell, in row-major order of the cells; all of them, in such an order, if `cell_m` is 0."""
+    """The lowest candidate per cell, in row-major order of the cells; all, in such an order, if `cell_m` is 0."""
     x, y, z = (np.ascontiguousarray(c) for c in candidates)
     if x.size == 0:
         return x, y, z

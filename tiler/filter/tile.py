@@ -1,4 +1,4 @@
-"""A tile of a pass: read core and halo, fit the model, label the core, write its labels."""
+"""A tile of a pass: read core and halo, fit the model, label the core; the last pass writes the labels."""
 
 from __future__ import annotations
 
@@ -27,6 +27,14 @@ MARK_BIT = 0x80
 KEEP = 0
 """Label of a point that has no part in filtering: it keeps the class of its source."""
 
+REACH_CELLS = 4
+"""So many cells of a method's lattice beyond a window, an occupied bucket still tells that the data go on there."""
+
+
+def sight_m(params: Any) -> float:
+    """Metres beyond core and halo from which buckets can change a tile, for the parameters of a method."""
+    return float((REACH_CELLS + 1) * params.align_m + params.margin_m)
+
 
 def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     """Filter one tile.
@@ -45,9 +53,10 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``points``, ``ground``, ``low_noise``, ``unclassified``, ``kept`` (of the core), ``marked``, ``tries``, ``halo``
-        (counts), ``window_points`` (candidates of the last window), ``core_area``, ``window_area`` (square counts, all
-        tries), ``labels`` (digest), ``partial`` (for the pass's reduction), ``stats`` of the model.
+        ``cells``; ``points``, ``ground``, ``low_noise``, ``unclassified``, ``kept`` (of the core), ``marked``,
+        ``tries``, ``halo`` (counts), ``window_points`` (candidates of the last window), ``core_area``,
+        ``window_area`` (square counts, all tries), ``labels`` (digest), ``partial`` (for the pass's reduction),
+        ``stats`` of the model.
     """
     store = open_store(store_url)
     params = METHODS[args["method"]].params(**args["parameters"])
@@ -62,7 +71,7 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         tries += 1
         window = _aligned(core.pad(halo), align).pad(margin)
         area += window.area()
-        known = _known(store, window, reach=4 * int(align.size))
+        known = _known(store, window, reach=math.ceil(REACH_CELLS * align.size))
         candidates = _candidates(store, window, params.candidate_cell_m, args)
         model = step.fit(candidates, known, scale, args["state"])
         labels = {cell: _label(store, cell, model, args) for cell in cells}
@@ -70,14 +79,15 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         if marked == 0 or halo >= args["max_halo"]:
             break
         halo = min(2 * halo, int(args["max_halo"]))
-    for cell, found in labels.items():
-        store.write_labels(LABELS, cell, found)
+    if args["pass"] == len(params.passes) - 1:
+        for cell, found in labels.items():
+            store.write_labels(LABELS, cell, found)
     counts = np.bincount(np.concatenate(list(labels.values())) & ~np.uint8(MARK_BIT), minlength=256)
     return {
         "points": int(counts.sum()), "ground": int(counts[2]), "low_noise": int(counts[7]),
         "unclassified": int(counts[1]), "kept": int(counts[KEEP]), "marked": marked, "tries": tries, "halo": halo,
         "window_points": int(candidates.shape[1]), "core_area": core.area(), "window_area": area,
-        "labels": _digest(labels.values()), "partial": model.partial(), "stats": model.stats,
+        "cells": args["cells"], "labels": _digest(labels.values()), "partial": model.partial(), "stats": model.stats,
     }  # fmt: skip
 
 
