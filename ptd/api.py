@@ -54,7 +54,8 @@ def classify(xyz: npt.ArrayLike, method: str = "classic", params: Any = None) ->
     Raises
     ------
     ValueError
-        Not an [n, 3] array, values that are not finite, an extent above 60 km, an unknown method, or parameters of another.
+        Not an [n, 3] array, values that are not finite, an extent above 60 km, an unknown method, or
+        parameters of another.
     """
     points = np.asarray(xyz, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -66,7 +67,8 @@ def classify(xyz: npt.ArrayLike, method: str = "classic", params: Any = None) ->
     if not isinstance(params, wanted):
         raise ValueError(f"params is {type(params).__name__}, method {method} takes {wanted.__name__}")
     counts, scale = _counts(points)
-    window, state = Window.everything(), {}
+    window = Window.everything()
+    state: dict[str, Any] = {}
     labels = np.ones(len(points), np.uint8)
     stats = {}
     for step in params.passes:
@@ -86,7 +88,8 @@ def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Sca
         raise ValueError("xyz has values that are not finite; leave those points out")
     if (high[:2] - low[:2]).max() > LARGEST_EXTENT_M:
         raise ValueError(
-            f"xyz extends over {(high[:2] - low[:2]).max() / 1000:.0f} km; above {LARGEST_EXTENT_M / 1000:.0f} km use tiles"
+            f"xyz extends over {(high[:2] - low[:2]).max() / 1000:.0f} km; "
+            f"above {LARGEST_EXTENT_M / 1000:.0f} km use tiles"
         )
     origin = [round(float(v) * COUNTS_PER_METRE) for v in low[:2]]
     counts = np.empty((3, len(points)), np.int32)

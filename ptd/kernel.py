@@ -12,12 +12,15 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, SupportsInt, TypeVar, cast
+from typing import Any, ParamSpec, SupportsInt, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core import config as numba_config
 
 __all__ = ["cache_folder", "kernel", "wide"]
+
+config: Any = numba_config  # its variables are made at run time
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
@@ -64,12 +67,12 @@ def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _R
     callable
         The compiled function, with the same signature for the type checker.
     """
-    folder, before = cache_folder(), numba.config.CACHE_DIR
+    folder, before = cache_folder(), config.CACHE_DIR
     try:
-        numba.config.CACHE_DIR = str(folder or "")
+        config.CACHE_DIR = str(folder or "")
         compiled = numba.njit(cache=folder is not None, nogil=True)(function)
     finally:
-        numba.config.CACHE_DIR = before  # other packages keep their own place
+        config.CACHE_DIR = before  # other packages keep their own place
     return cast(Callable[_Parameters, _Result], compiled)
 
 

@@ -35,8 +35,8 @@ def classify_file(
     Returns
     -------
     dict
-        ``points``, ``changed``, ``classes`` (class to points), ``bytes``, ``notes``, ``seconds``, ``method``, ``parameters``,
-        ``tiles``, ``marked``.
+        ``points``, ``changed``, ``classes`` (class to points), ``bytes``, ``notes``, ``seconds``, ``method``,
+        ``parameters``, ``tiles``, ``marked``.
 
     Raises
     ------

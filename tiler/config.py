@@ -57,7 +57,8 @@ class RunConfig:
     units: str | None = setting(
         None, "units of the coordinates, h or h,v (m, ft, usft); default: those of the CRS"
     )
-    bounds: tuple[float, float, float, float] | None = setting(None, "only this part: X0 Y0 X1 Y1 in CRS units; default: everything",
+    bounds: tuple[float, float, float, float] | None = setting(None, "only this part: X0 Y0 X1 Y1 in CRS units; "
+                                                               "default: everything",
                                                                kind="bounds")  # fmt: skip
     keep_classes: tuple[int, ...] = setting((7, 9, 17, 18), "classes that take no part in filtering and are "
                                             "never overwritten", kind="classes")  # fmt: skip

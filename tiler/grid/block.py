@@ -25,7 +25,6 @@ from tiler.errors import ProcessingError
 from tiler.grid.ground import Ground, GroundRule, central_points, read_ground, whole_cells
 from tiler.store import TileStore, open_store
 
-
 SMALLEST_PART = 32
 """Pixels a side below which a block is not divided any more."""
 
@@ -85,7 +84,7 @@ def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
 
 
 def _in_parts(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
-    """As `block_heights`, in quarters where the window holds more points than `max_points`: pixels do not depend on it."""
+    """As `block_heights`, in quarters where the window holds more points than ``max_points``; same pixels."""
     row, col, height, width = args["block"]
     spec = RasterSpec.from_json(args["spec"])
     window = spec.block_bounds(Block(row, col, height, width)).pad(args["halo"])
