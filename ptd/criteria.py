@@ -1,6 +1,6 @@
-"""Axelsson's test: may a point join the facet that it lies in?
+"""Axelsson's test: may a point join the facet that it lies in.
 
-Source: Axelsson (2000), DEM generation from laser scanner data using adaptive TIN models; edge rules as in Dong (2018), 2.1.
+Axelsson (2000); its edge rules as in Dong (2018), 2.1.
 """
 
 from __future__ import annotations
