@@ -1,6 +1,7 @@
-"""Axelsson's test: may a point join the facet that it lies in.
+"""Axelsson's test of whether a point may join the facet that it lies in.
 
-Axelsson (2000); its edge rules as in Dong (2018), 2.1.
+Source: Axelsson (2000), DEM generation from laser scanner data using adaptive TIN models; the edge rules are those
+of Dong (2018), section 2.1.
 """
 
 from __future__ import annotations

@@ -23,7 +23,6 @@ from tiler.core.lattice import Cell
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import LABELS
-from tiler.ingest import SourceInfo
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
 from tiler.perform import peak_rss_bytes, perform
@@ -205,14 +204,13 @@ def run(
     config, out = config or RunConfig(), Path(out)
     started = time.monotonic()
     plan = make_plan(inputs, config, out)
-    names = output_names(inputs, plan.sources)
     _make_folder(out)
     url = config.store or str(out / "store.zarr")
     if config.overwrite:
         remove_store(url)
     plan, store = _frozen(plan, url)
     with store.lock(), EventLog(out / "events.jsonl") as log:
-        result = _locked_run(plan, store, out, combine(listener, log), until, names, started)
+        result = _locked_run(plan, store, out, combine(listener, log), until, started)
     if config.clean_store and until == "export":
         remove_store(url)
     return result
@@ -224,7 +222,6 @@ def _locked_run(
     out: Path,
     listener: Listener,
     until: str,
-    names: dict[Path, Path],
     started: float,
 ) -> RunResult:
     """The run itself, by the one process that holds the store."""
@@ -235,7 +232,7 @@ def _locked_run(
     job = Job(plan, out, store, listener)
     job.quarantined = [{"path": path, "error": error} for path, error in plan.unreadable]
     try:
-        _stages(job, until, names)
+        _stages(job, until)
     except BaseException:
         job.save("interrupted")
         raise
@@ -248,7 +245,7 @@ def _locked_run(
     return RunResult(5 if job.quarantined or job.failed else 0, summary, job.computed == 0)
 
 
-def _stages(job: Job, until: str, names: dict[Path, Path]) -> None:
+def _stages(job: Job, until: str) -> None:
     """The order of things."""
     sources = _numbered(job)
     spooled, sources = _spool(job, sources)
@@ -261,7 +258,7 @@ def _stages(job: Job, until: str, names: dict[Path, Path]) -> None:
     spec, gridded = _grid(job, assembled, labels)
     if until == "grid":
         return
-    _export(job, spec, gridded, sources, spooled, labels, names)
+    _export(job, spec, gridded, sources, spooled, labels)
 
 
 def _numbered(job: Job) -> list[Source]:
@@ -464,14 +461,13 @@ def _export(
     sources: list[Source],
     spooled: Commits,
     labels: dict[Cell, str],
-    names: dict[Path, Path],
 ) -> None:
     """The files that people open."""
     out = job.out.resolve()
     digest = digest_of(sorted(source.content for source in sources))
     tasks = [cog_task(job.plan, spec, gridded, digest, out, "dtm")]
     if job.plan.config.method != KEEP:
-        tasks += classified_tasks(job.plan, sources, spooled, labels, names, out)
+        tasks += classified_tasks(job.plan, sources, spooled, labels, out)
     files = {
         t.key: Path(t.arguments["out"]) / t.key if t.key.endswith(".tif") else Path(t.arguments["out"])
         for t in tasks
@@ -488,27 +484,6 @@ def _export(
             job.note(text)
     if "dtm.tif" not in exported:
         raise ProcessingError(f"dtm.tif could not be written: {job.failed[-1]['error']}")
-
-
-def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[Path, Path]:
-    """Path of each classified file below OUT/classified; ConfigError where two would be one."""
-    folders = [Path(i) for i in inputs if Path(i).is_dir()]
-    names: dict[Path, Path] = {}
-    taken: dict[str, Path] = {}
-    for source in sources:
-        below = [source.path.relative_to(f) for f in folders if source.path.is_relative_to(f)]
-        name = below[0] if below else Path(source.path.name)
-        stem = name.name[: -len(name.suffix)]
-        stem = stem.removesuffix(".copc") if source.copc else stem
-        name = name.with_name(f"{stem}.laz")
-        if str(name).lower() in taken:
-            raise ConfigError(
-                f"{source.path} and {taken[str(name).lower()]} would both become classified/{name}; "
-                "rename one, or run on a folder that holds both in different places"
-            )
-        taken[str(name).lower()] = source.path
-        names[source.path] = name
-    return names
 
 
 def _make_folder(out: Path) -> None:

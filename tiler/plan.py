@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -65,6 +65,8 @@ class Plan:
         That can be read, in the order of their names; with `unreadable` all that were named.
     unreadable : tuple of (str, str)
         Path and reason of each file that is left out.
+    names : dict of Path to Path
+        Of each source's classified file, below OUT/classified.
     """
 
     config: RunConfig
@@ -83,6 +85,7 @@ class Plan:
     points: int
     area_m2: float
     extent: Bounds
+    names: dict[Path, Path] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = field(default=())
 
@@ -245,10 +248,31 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
         config, tuple(sources), tuple(unreadable), meta, limits, parameters,
         _resolution(config, density, notes), tile, halo, memory, config.workers or psutil.cpu_count() or 1,
         defaults.candidate_cell_m if defaults else 0.0, len(defaults.passes) if defaults else 0, points, area,
-        limits or extent, tuple(notes), tuple(warnings),
+        limits or extent, output_names(inputs, sources), tuple(notes), tuple(warnings),
     )  # fmt: skip
     refuse(plan, out)
     return plan
+
+
+def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[Path, Path]:
+    """Path of each classified file below OUT/classified; ConfigError where two would be one."""
+    folders = [Path(i) for i in inputs if Path(i).is_dir()]
+    names: dict[Path, Path] = {}
+    taken: dict[str, Path] = {}
+    for source in sources:
+        below = [source.path.relative_to(f) for f in folders if source.path.is_relative_to(f)]
+        name = below[0] if below else Path(source.path.name)
+        stem = name.name[: -len(name.suffix)]
+        stem = stem.removesuffix(".copc") if source.copc else stem
+        name = name.with_name(f"{stem}.laz")
+        if str(name).lower() in taken:
+            raise ConfigError(
+                f"{source.path} and {taken[str(name).lower()]} would both become classified/{name}; "
+                "rename one, or run on a folder that holds both in different places"
+            )
+        taken[str(name).lower()] = source.path
+        names[source.path] = name
+    return names
 
 
 def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:

@@ -243,7 +243,6 @@ def classified_tasks(
     sources: Iterable[Source],
     spooled: Mapping[str, tuple[str, dict[str, Any]]],
     labels: Mapping[Cell, str],
-    names: Mapping[Path, Path],
     out: Path,
 ) -> Iterator[Task]:
     """One for each source."""
@@ -259,7 +258,7 @@ def classified_tasks(
         )
         arguments = {
             "path": str(source.info.path.resolve()), "source": source.number,
-            "out": str(out / "classified" / names[source.info.path]), "labels": LABELS,
+            "out": str(out / "classified" / plan.names[source.info.path]), "labels": LABELS,
             "cells": [[c.ix, c.iy] for c in cells], "salvage": plan.config.salvage,
         }  # fmt: skip
         digest = digest_of(__version__, source.identity, arguments, [labels[c] for c in cells])

@@ -1,0 +1,297 @@
+"""Grey-scale openings with disks on minimum rasters, in which any cell may be empty.
+
+An empty cell has no height: it neither lowers nor raises its neighbours. All results are integers, or come from
+integers by the same few operations in each cell, and a cell's result depends on its surroundings alone, not on where
+the raster starts or ends: rasters of one lattice agree wherever both hold all data within reach.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, Int64, cell_keys
+from ptd.frame import Cells
+from ptd.kernel import kernel
+
+EMPTY = 2**31 - 1
+"""Height of a cell without points."""
+
+OVERHANG = 1
+"""Disks are centred on filled cells and so many cells around them. Without holes between sparse points the disks would
+be fewer (fine ridges would be cut); anywhere outside the data they would reach in just far enough to spare a
+roof at the border."""
+
+Bool = npt.NDArray[np.bool_]
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+
+
+class CellRaster:
+    """The cells of a lattice around points.
+
+    Parameters
+    ----------
+    x, y : int32 [n]
+        Local counts; at least one point.
+    cells : Cells
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Rows, the southern one first, and columns.
+    keys : int64 [n]
+        The cell of each point in a raster taken row by row.
+    """
+
+    def __init__(self, x: Int32, y: Int32, cells: Cells) -> None:
+        col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
+        width = cells.column(int(x.max())) - col0 + 1
+        self.shape = (cells.row(int(y.max())) - row0 + 1, width)
+        self.keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+
+    def lowest(self, z: Int32, which: Bool) -> Int32:
+        """Height of the lowest of the chosen points in each cell, `EMPTY` where there is none: int32, of `shape`."""
+        heights = np.full(self.shape[0] * self.shape[1], EMPTY, np.int32)
+        _lower_cells(heights, self.keys, z, which)
+        return heights.reshape(self.shape)
+
+
+@kernel
+def _lower_cells(heights: Int32, keys: Int64, z: Int32, which: Bool) -> None:
+    for i in range(keys.size):
+        if which[i]:
+            heights[keys[i]] = min(heights[keys[i]], z[i])
+
+
+@kernel
+def _fill_runs(runs: Int32, row: Int32, radius: int) -> None:
+    """``runs[k, i]``: the minimum of the 2**k cells from i on of a row with `radius` empty cells at both ends."""
+    width = row.size
+    runs[:, :] = EMPTY
+    runs[0, radius : radius + width] = row
+    for k in range(1, runs.shape[0]):
+        half = 1 << (k - 1)
+        n = runs.shape[1] - half
+        first, second, out = runs[k - 1, :n], runs[k - 1, half:], runs[k, :n]
+        for i in range(n):
+            out[i] = min(first[i], second[i])
+
+
+@kernel
+def _disk_minimum(heights: Int32, half_widths: Int64, levels: Int64, out: Int32) -> None:
+    """Each chord of the disk is covered by two runs of 2**level cells (Urbach and Wilkinson 2008).
+
+    The runs of the rows that the disk touches go round in a buffer that stays in the cache.
+    """
+    height, width = heights.shape
+    radius = half_widths.size - 1
+    span = 2 * radius + 1
+    buffer = np.full((span, levels.max() + 1, width + 2 * radius), EMPTY, np.int32)
+    for row in range(-radius, height):
+        if row + radius < height:
+            _fill_runs(buffer[(row + radius) % span], heights[row + radius], radius)
+        else:
+            buffer[(row + radius) % span] = EMPTY
+        if row < 0:
+            continue
+        lowest = out[row]
+        lowest[:] = EMPTY
+        for dy in range(radius + 1):
+            k = levels[dy]
+            left, right = radius - half_widths[dy], radius + half_widths[dy] + 1 - (1 << k)
+            below, above = buffer[(row - dy) % span, k], buffer[(row + dy) % span, k]
+            a, b = below[left : left + width], below[right : right + width]
+            c, d = above[left : left + width], above[right : right + width]
+            for i in range(width):
+                lowest[i] = min(lowest[i], min(min(a[i], b[i]), min(c[i], d[i])))
+
+
+def disk_minimum(heights: Int32, radius: float) -> Int32:
+    """The lowest of the filled cells whose centres lie within `radius` cells, everywhere.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Counts, above -2**31; `EMPTY` where there is none.
+    radius : float
+        Cells, not negative.
+
+    Returns
+    -------
+    int32 [rows, columns]
+        `EMPTY` where no cell of the disk is filled.
+    """
+    limit = math.floor(radius * radius)
+    half_widths = [math.isqrt(limit - dy * dy) for dy in range(math.isqrt(limit) + 1)]
+    levels = [(2 * w + 1).bit_length() - 1 for w in half_widths]
+    out = np.empty(heights.shape, np.int32)
+    _disk_minimum(
+        np.ascontiguousarray(heights), np.array(half_widths, np.int64), np.array(levels, np.int64), out
+    )
+    return out
+
+
+@kernel
+def _flip(heights: Int32, keep: Bool) -> None:
+    """Negate in place, so that minima become maxima; cells not to keep become empty."""
+    flat, kept = heights.reshape(-1), keep.reshape(-1)
+    for i in range(flat.size):
+        flat[i] = -flat[i] if kept[i] else EMPTY
+
+
+_INNER = np.s_[OVERHANG:-OVERHANG, OVERHANG:-OVERHANG]
+
+
+def _framed(heights: Int32) -> tuple[Int32, Bool, Bool]:
+    """The raster with room for disks centred outside it; which of its cells are filled; where disks are centred."""
+    framed = np.ascontiguousarray(np.pad(heights, OVERHANG, constant_values=EMPTY))
+    return framed, framed != EMPTY, disk_minimum(framed, OVERHANG) != EMPTY
+
+
+def _open(heights: Int32, radius: float, filled: Bool, centres: Bool) -> Int32:
+    lowest = disk_minimum(heights, radius)
+    _flip(lowest, centres)
+    opened = disk_minimum(lowest, radius)
+    _flip(opened, filled)
+    return opened
+
+
+def open_with_disk(heights: Int32, radius: float) -> Int32:
+    """Opening: each filled cell takes the highest of the minima of the disks that hold it.
+
+    So whatever is higher than its surroundings and narrower than a disk is cut. Disks are centred up to `OVERHANG`
+    cells from filled ones.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Counts, above -2**31; `EMPTY` where there is none.
+    radius : float
+        Cells, not negative.
+
+    Returns
+    -------
+    int32 [rows, columns]
+        Not above `heights`; `EMPTY` in the same cells.
+    """
+    framed, filled, centres = _framed(heights)
+    return _open(framed, radius, filled, centres)[_INNER]
+
+
+@kernel
+def _keep_steepest(before: Int32, after: Int32, allowance: float, radius: float, steepest: Float32) -> None:
+    b, a, s = before.reshape(-1), after.reshape(-1), steepest.reshape(-1)
+    for i in range(b.size):
+        s[i] = max(s[i], np.float32((float(b[i]) - float(a[i]) - allowance) / radius))
+
+
+def steepest_drops(heights: Int32, radii: Sequence[float], allowance: float) -> tuple[Float32, Int32]:
+    """Open with ever larger disks, each time what the last opening left, and watch how far each cell drops.
+
+    A cell drops by more than ``allowance + s * radius`` with some disk if its steepest drop is above s: thresholds that
+    grow with the disk can be chosen, and differ from cell to cell, after the openings.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Counts, above -2**31; `EMPTY` where there is none.
+    radii : sequence of float
+        Cells, above 0, growing.
+    allowance : float
+        Counts by which a cell may drop with any disk.
+
+    Returns
+    -------
+    steepest : float32 [rows, columns]
+        The largest of (drop - allowance) / radius, counts per cell; meaningless in empty cells.
+    opened : int32 [rows, columns]
+        After the last opening.
+    """
+    opened, filled, centres = _framed(heights)
+    steepest = np.full(opened.shape, -np.inf, np.float32)
+    for radius in radii:
+        before, opened = opened, _open(opened, radius, filled, centres)
+        _keep_steepest(before, opened, float(allowance), float(radius), steepest)
+    return steepest[_INNER], opened[_INNER]
+
+
+@kernel
+def _sums(values: Int32) -> tuple[Int64, Int64]:
+    """Sums and numbers of all filled cells before row and column: int64 [rows + 1, columns + 1]."""
+    height, width = values.shape
+    sums = np.zeros((height + 1, width + 1), np.int64)
+    counts = np.zeros((height + 1, width + 1), np.int64)
+    for row in range(height):
+        total, n = np.int64(0), np.int64(0)
+        for column in range(width):
+            if values[row, column] != EMPTY:
+                total += values[row, column]
+                n += 1
+            sums[row + 1, column + 1] = sums[row, column + 1] + total
+            counts[row + 1, column + 1] = counts[row, column + 1] + n
+    return sums, counts
+
+
+@kernel
+def _box_means(values: Int32, reach: int) -> Float64:
+    """Means of the cells up to `reach` from each cell, NaN where none is filled; `reach` cells wider on all sides."""
+    height, width = values.shape
+    sums, counts = _sums(values)
+    means = np.empty((height + 2 * reach, width + 2 * reach), np.float64)
+    for row in range(means.shape[0]):
+        south, north = max(row - 2 * reach, 0), min(row + 1, height)
+        for column in range(means.shape[1]):
+            west, east = max(column - 2 * reach, 0), min(column + 1, width)
+            n = counts[north, east] - counts[north, west] - counts[south, east] + counts[south, west]
+            total = sums[north, east] - sums[north, west] - sums[south, east] + sums[south, west]
+            means[row, column] = total / n if n > 0 else np.nan
+    return means
+
+
+@kernel
+def _rise(before: float, own: float, after: float) -> float:
+    """Rise per step between the neighbours; one that is missing (NaN) gives way to the cell's own mean."""
+    if math.isnan(before):
+        return 0.0 if math.isnan(after) else after - own
+    return own - before if math.isnan(after) else (after - before) / 2.0
+
+
+@kernel
+def _slopes(means: Float64, reach: int, out: Float64) -> None:
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            r, c = row + reach, column + reach
+            own = means[r, c]
+            if math.isnan(own):
+                out[row, column] = 0.0
+                continue
+            right = _rise(means[r, c - reach], own, means[r, c + reach])
+            up = _rise(means[r - reach, c], own, means[r + reach, c])
+            out[row, column] = math.sqrt(right * right + up * up) / reach
+
+
+def slopes(heights: Int32, reach: int) -> Float64:
+    """Slope of a surface with empty cells, from the means of square boxes.
+
+    The means are of the filled cells up to `reach` cells (in both directions) from the cells `reach` to the east, west,
+    north and south, or from the cell itself where a box is empty; the sums are whole numbers, so they are exact.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Counts; `EMPTY` where there is none.
+    reach : int
+        Cells, at least 1.
+
+    Returns
+    -------
+    float64 [rows, columns]
+        Rise in counts per cell; 0 where the cell's own box is empty.
+    """
+    out = np.empty(heights.shape, np.float64)
+    _slopes(_box_means(np.ascontiguousarray(heights), reach), reach, out)
+    return out

@@ -1,0 +1,59 @@
+"""Serial = 1 worker = 2 workers = another order of the tasks, byte for byte."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.invariants.runs import do, output_digests
+from tiler.schedule import Executor, Outcome, Perform, SerialExecutor, Task
+from tiler.schedule.workers import DaskExecutor
+
+
+class Shuffled(SerialExecutor):
+    """Tasks in any order but the given one."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+
+    def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+        shuffled = list(tasks)
+        self.random.shuffle(shuffled)
+        return super().run(perform, store_url, shuffled)
+
+
+class Twice(SerialExecutor):
+    """Each task is done twice, as when a worker is lost after its commit."""
+
+    def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+        for task in tasks:
+            perform(store_url, task)
+            yield perform(store_url, task)
+
+
+EXECUTORS: dict[str, Callable[[], Executor]] = {
+    "one Dask worker": lambda: DaskExecutor(1),
+    "two Dask workers": lambda: DaskExecutor(2),
+    "another order": lambda: Shuffled(1),
+    "one more order": lambda: Shuffled(2),
+    "twice": Twice,
+}
+
+
+@pytest.mark.parametrize("name", EXECUTORS)
+def test_every_executor_gives_the_same_bytes(
+    name: str, quarter_files: list[Path], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.pipeline.make_executor", lambda workers, address: EXECUTORS[name]())
+    result = do(quarter_files, tmp_path / "out")
+    assert result.exit_code == 0
+    assert output_digests(tmp_path / "out") == output_digests(finished)
+
+
+def test_workers_and_memory_are_in_no_digest(quarter_files: list[Path], tmp_path: Path) -> None:
+    do(quarter_files, tmp_path / "out")
+    again = do(quarter_files, tmp_path / "out", workers=2, memory="2GiB")
+    assert again.did_nothing

@@ -1,0 +1,149 @@
+"""What other runs left in the store, finished or cut off at any write, is in no result."""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ptd.methods import METHODS
+from ptd.methods.classic import Classic, ClassicPass
+from ptd.passes import Method
+from tests.invariants.runs import computed, do, output_digests
+from tiler.store.storage import Storage
+
+
+@dataclasses.dataclass(frozen=True)
+class TwoPasses(Classic):
+    """A method whose first pass labels otherwise than its last."""
+
+    @property
+    def passes(self) -> tuple[ClassicPass, ...]:
+        steep = ClassicPass(dataclasses.replace(self, iteration_angle_deg=80.0), "steep")
+        return (steep, ClassicPass(self))
+
+
+@pytest.fixture(autouse=True)
+def two_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, "two", Method("two", "two passes", TwoPasses))
+
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "other tiles": {"tile_size": "96"},
+    "other parameters": {"parameters": {"max_building_size": "30"}},
+    "other pixels": {"resolution": "2"},
+    "as many other pixels": {"max_edge": "3"},
+    "two passes": {"method": "two", "parameters": {"iteration_distance": "0.4"}},
+    "trust the input": {"method": "keep", "ground_classes": [1]},
+    "a part": {"bounds": [500_040.0, 5_400_010.0, 500_150.0, 5_400_170.0]},
+    "fewer files": {},
+}
+
+
+class CutOffError(BaseException):
+    """The run ends here, as if killed; no Exception, so that nothing handles it."""
+
+
+def cut_off(writes: int, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Let the run end before its write number ``writes``; returns what lifts that."""
+    left = writes
+    patch = pytest.MonkeyPatch()
+
+    def counted(method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(self: Storage, *arguments: Any, **settings: Any) -> Any:
+            nonlocal left
+            left -= 1
+            if left < 0:
+                raise CutOffError
+            return method(self, *arguments, **settings)
+
+        return call
+
+    for name in ("put", "delete", "delete_folder"):
+        patch.setattr(Storage, name, counted(getattr(Storage, name)))
+    return patch.undo
+
+
+def changes(name: str, files: list[Path]) -> tuple[list[Path], Mapping[str, Any]]:
+    return (files[:-1] if name == "fewer files" else files), VARIANTS[name]
+
+
+@pytest.fixture(scope="module")
+def alone(
+    quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], dict[str, str]]:
+    """Digests of the outputs of a variant that ran alone."""
+    known: dict[str, dict[str, str]] = {}
+
+    def digests(name: str) -> dict[str, str]:
+        if name not in known:
+            out = tmp_path_factory.mktemp("alone") / "out"
+            paths, settings = changes(name, quarter_files)
+            assert do(paths, out, **settings).exit_code == 0
+            known[name] = output_digests(out)
+        return known[name]
+
+    return digests
+
+
+def assert_no_trace(
+    names: list[str], rng: random.Random, files: list[Path], out: Path, expected: dict[str, str]
+) -> None:
+    """Run the variants but the last up to some write each; the last must give what it gives alone."""
+    for name in names[:-1]:
+        paths, settings = changes(name, files)
+        lift = cut_off(rng.randrange(5, 200), pytest.MonkeyPatch())
+        try:
+            do(paths, out, **settings)
+        except CutOffError:
+            pass
+        finally:
+            lift()
+        (out / "store.zarr" / "lock.json").unlink(missing_ok=True)
+    shutil.rmtree(out / "classified", ignore_errors=True)
+    paths, settings = changes(names[-1], files)
+    assert do(paths, out, **settings).exit_code == 0
+    assert output_digests(out) == expected, names
+
+
+def history(rng: random.Random) -> list[str]:
+    """Some variants; the last was tried before."""
+    names = rng.choices(list(VARIANTS), k=rng.randrange(2, 4))
+    return [names[-1], *names]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_eventful_history(
+    seed: int, quarter_files: list[Path], alone: Callable[[str], dict[str, str]], tmp_path: Path
+) -> None:
+    rng = random.Random(seed)
+    names = history(rng)
+    assert_no_trace(names, rng, quarter_files, tmp_path / "out", alone(names[-1]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 140))
+def test_many_eventful_histories(
+    seed: int, quarter_files: list[Path], alone: Callable[[str], dict[str, str]], tmp_path: Path
+) -> None:
+    rng = random.Random(seed)
+    names = history(rng)
+    assert_no_trace(names, rng, quarter_files, tmp_path / "out", alone(names[-1]))
+
+
+@pytest.mark.parametrize("other", ["other tiles", "two passes"])
+def test_there_and_back_again(
+    other: str, quarter_files: list[Path], alone: Callable[[str], dict[str, str]], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    for name in ("plain", other, "plain", other):
+        paths, settings = changes(name, quarter_files)
+        result = do(paths, out, **settings)
+        assert computed(result)["spool"] == computed(result)["assemble"] == 0 or name == "plain"
+        assert output_digests(out) == alone(name)

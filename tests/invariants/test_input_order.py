@@ -1,0 +1,48 @@
+"""Input order and file split change nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.invariants import clouds
+from tests.invariants.clouds import Cloud
+from tests.invariants.runs import classes_by_point, do, dtm, output_digests
+
+
+def assert_same_terrain(out: Path, other: Path) -> None:
+    """The same pixels at the same places, and the same class for each point."""
+    for mine, theirs in zip(dtm(out), dtm(other), strict=True):
+        assert np.asarray(mine).tobytes() == np.asarray(theirs).tobytes()
+    assert np.array_equal(classes_by_point(out), classes_by_point(other))
+
+
+def test_order_of_the_names_changes_no_byte(quarter_files: list[Path], finished: Path, tmp_path: Path) -> None:
+    do(quarter_files[::-1], tmp_path / "out")
+    assert output_digests(tmp_path / "out") == output_digests(finished)
+
+
+def test_one_file_or_four(city_file: Path, finished: Path, tmp_path: Path) -> None:
+    do(city_file, tmp_path / "out")
+    assert_same_terrain(tmp_path / "out", finished)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_shuffled_points_in_files_without_sense(city: Cloud, finished: Path, tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(city))
+    parts = np.array_split(order, 3)
+    paths = [clouds.write(tmp_path / f"{i}.laz", city.take(part)) for i, part in enumerate(parts)]
+    do(paths, tmp_path / "out")
+    assert_same_terrain(tmp_path / "out", finished)
+
+
+def test_pieces_of_a_file_change_nothing(
+    city_file: Path, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.tasks.PIECE_POINTS", 50_000)
+    result = do(city_file, tmp_path / "out")
+    assert result.summary["stages"]["spool"]["tasks"] > 1
+    assert_same_terrain(tmp_path / "out", finished)

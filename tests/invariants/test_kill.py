@@ -1,0 +1,102 @@
+"""Killed anywhere and resumed = uninterrupted, byte for byte; and nothing that was finished is done again."""
+
+from __future__ import annotations
+
+import json
+import random
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from tests.invariants.forked import ended, forked
+from tests.invariants.runs import do, output_digests, the_store
+from tiler.errors import StoreError
+
+STAGES = ("spool", "assemble", "filter0", "grid-dtm", "export")
+
+
+def finished_tasks(out: Path) -> dict[str, dict[str, str]]:
+    """Stage -> key -> digest of the tasks that are committed."""
+    try:
+        store = the_store(out)
+    except StoreError:
+        return {stage: {} for stage in STAGES}  # it was killed before there was one
+    return {stage: {key: c[0] for key, c in store.committed(stage).items()} for stage in STAGES}
+
+
+def assert_files_are_whole(out: Path, expected: dict[str, str]) -> None:
+    """What lies under its final name is whole, at any moment."""
+    for name, digest in output_digests_that_exist(out).items():
+        assert digest == expected[name], name
+    if (out / "run.json").exists():
+        json.loads((out / "run.json").read_text())
+
+
+def output_digests_that_exist(out: Path) -> dict[str, str]:
+    return output_digests(out) if (out / "dtm.tif").exists() else {}
+
+
+
+
+@pytest.fixture(scope="module")
+def duration(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) -> float:
+    """Seconds of an undisturbed run in a forked process."""
+    assert ended(forked(do, quarter_files, tmp_path_factory.mktemp("first") / "out", until="ingest")) == 0
+    began = time.monotonic()
+    assert ended(forked(do, quarter_files, tmp_path_factory.mktemp("timed") / "out")) == 0
+    return time.monotonic() - began
+
+
+def kill_and_resume(paths: list[Path], out: Path, expected: dict[str, str], waits: list[float]) -> None:
+    """Kill the run after each of some times, then let it end."""
+    before = finished_tasks(out)
+    for wait in waits:
+        process = forked(do, paths, out)
+        time.sleep(wait)
+        process.kill()
+        process.join()
+        after = finished_tasks(out)
+        for stage in STAGES:
+            assert before[stage].items() <= after[stage].items(), "what was finished stays finished"
+        assert_files_are_whole(out, expected)
+        before = after
+    result = do(paths, out)
+    assert result.exit_code == 0
+    assert output_digests(out) == expected
+    for stage in STAGES:
+        found = result.summary["stages"][stage]
+        assert found["done"] == len(before[stage])
+        assert found["computed"] == found["tasks"] - len(before[stage])
+    assert not list(out.rglob("*.partial*"))
+    assert not (out / "store.zarr" / "lock.json").exists()
+    assert events_done(out) <= {(stage, key): 1 for stage, tasks in finished_tasks(out).items() for key in tasks}.keys()
+    assert do(paths, out).did_nothing
+
+
+def events_done(out: Path) -> set[tuple[str, str]]:
+    lines = (out / "events.jsonl").read_text().splitlines()
+    events = [json.loads(line) for line in lines if line.endswith("}")]
+    done = Counter((e["stage"], e["key"]) for e in events if e["event"] == "task_done")
+    assert max(done.values()) == 1, "a finished task was computed twice"
+    return set(done)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_killed_once_or_more(
+    seed: int, quarter_files: list[Path], finished: Path, duration: float, tmp_path: Path
+) -> None:
+    rng = random.Random(seed)
+    waits = [duration * rng.uniform(0.05, 0.9) for _ in range(1 + seed // 2)]
+    kill_and_resume(quarter_files, tmp_path / "out", output_digests(finished), waits)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 150))
+def test_killed_fifty_times(
+    seed: int, quarter_files: list[Path], finished: Path, duration: float, tmp_path: Path
+) -> None:
+    rng = random.Random(seed)
+    waits = [duration * rng.uniform(0.0, 1.0) for _ in range(rng.choice([1, 1, 2, 3]))]
+    kill_and_resume(quarter_files, tmp_path / "out", output_digests(finished), waits)

@@ -1,0 +1,73 @@
+"""Measured peak memory <= projected <= allowed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.invariants import clouds
+from tests.invariants.runs import do
+from tiler.errors import ConfigError
+
+MEASURED = """
+import json, sys
+from tests.invariants.runs import do
+from pathlib import Path
+do(Path(sys.argv[1]), Path(sys.argv[2]), **json.loads(sys.argv[3]))
+"""
+WARM = """
+from ptd.warm import warm_filters, warm_gridding
+warm_filters(lambda: None); warm_gridding(lambda: None)
+"""
+
+
+def measured_run(path: Path, out: Path, **changes: object) -> dict:
+    """run.json of a serial run in a process of its own, with kernels that were compiled before."""
+    subprocess.run([sys.executable, "-c", WARM], check=True)
+    subprocess.run([sys.executable, "-c", MEASURED, str(path), str(out), json.dumps(changes)], check=True)
+    content: dict = json.loads((out / "run.json").read_text())
+    return content
+
+
+def assert_within(content: dict) -> None:
+    projected = content["plan"]["projected_memory_bytes"]
+    assert max(projected.values()) <= content["plan"]["memory_bytes"]
+    stages = content["stages"]
+    assert stages["filter0"]["peak_rss_bytes"] <= max(projected["ingest"], projected["filter"])
+    assert content["peak_rss_bytes"] <= max(projected.values())
+    assert content["peak_rss_bytes"] > 50 << 20, "measured nothing"
+
+
+def test_a_small_run_stays_within_what_was_projected(city_file: Path, tmp_path: Path) -> None:
+    assert_within(measured_run(city_file, tmp_path / "out"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("density", "tile"), [(4.0, "600"), (16.0, "256")])
+def test_a_million_points_stay_within_what_was_projected(density: float, tile: str, tmp_path: Path) -> None:
+    side = (1.6e6 / density) ** 0.5
+    path = clouds.write(tmp_path / "city.laz", clouds.city(side, density, seed=4))
+    assert_within(measured_run(path, tmp_path / "out", tile_size=tile, halo=80, memory="2GiB"))
+
+
+@pytest.mark.parametrize("memory", ["1MiB", "300MiB"])
+def test_a_run_that_would_need_more_is_refused_before_it_reads(
+    memory: str, city_file: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=r"needs .* MiB a worker, .* MiB are allowed; use --memory"):
+        do(city_file, tmp_path / "out", memory=memory)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_tile_size_of_an_earlier_run_is_refused_with_less_memory(
+    city_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.plan.VERTEX_BYTES", 60_000)
+    do(city_file, tmp_path / "out", until="ingest", tile_size="512", memory="8GiB")
+    with pytest.raises(ConfigError, match=r"filter needs .* MiB are allowed"):
+        do(city_file, tmp_path / "out", until="ingest", tile_size=None, memory="800MiB")
+    do(city_file, tmp_path / "out", until="ingest", tile_size="32", memory="800MiB")

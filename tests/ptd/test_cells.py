@@ -1,0 +1,135 @@
+"""Lattices anchored at CRS coordinate 0, and points by their cells."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ptd.cells import CellIndex, lowest_per_cell, slot_of
+from ptd.frame import Cells, Scale
+
+FEET = Fraction(3048, 10**7)
+Points = list[tuple[int, int, int]]
+
+
+def columns(points: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    x, y, z = np.array(points, np.int32).reshape(-1, 3).T
+    return np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(z)
+
+
+def expected(points: Points, size: Fraction, origin: tuple[int, int]) -> Points:
+    """The lowest point of each cell by sets and sorting, in row-major order."""
+    best: dict[tuple[int, int], tuple[int, int, int]] = {}
+    for x, y, z in points:
+        key = (y + origin[1]) // size, (x + origin[0]) // size
+        best[key] = min(best.get(key, (z, x, y)), (z, x, y))
+    return [(x, y, z) for _, (z, x, y) in sorted(best.items())]
+
+
+near = st.tuples(st.integers(-300, 300), st.integers(-300, 300), st.integers(-3, 3))
+far = st.tuples(st.integers(-(2**25), 2**25), st.integers(-(2**25), 2**25), st.integers(-3, 3))
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    points=st.one_of(st.lists(near, max_size=60), st.lists(far, max_size=12)),
+    size=st.sampled_from([0.01, 0.05, 0.1, 0.33, 1.0, 20.0]),
+    unit=st.sampled_from([Fraction(1, 1000), Fraction(1, 100), FEET]),
+    origin=st.tuples(st.integers(-(10**9), 10**9), st.integers(-(10**9), 10**9)),
+    shuffle=st.randoms(use_true_random=False),
+)
+def test_the_lowest_of_each_cell(
+    points: Points, size: float, unit: Fraction, origin: tuple[int, int], shuffle: object
+) -> None:
+    cells = Cells.of(size, Scale(unit, unit, origin))
+    want = expected(points, Fraction(repr(size)) / unit, origin)
+    for _ in range(2):
+        x, y, z = columns(points)
+        got = lowest_per_cell(x, y, z, cells)
+        assert [(int(x[i]), int(y[i]), int(z[i])) for i in got] == want
+        shuffle.shuffle(points)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("spread", [1, 100_000])
+def test_dense_and_sparse_clouds_give_the_same(spread: int) -> None:
+    """Cells of the same points, near each other and far apart: a raster, and sorting."""
+    rng = np.random.default_rng(1)
+    column, row, z = rng.integers(0, 20, (3, 500))
+    x, y = (column * 200 * spread).astype(np.int32), (row * 200 * spread).astype(np.int32)
+    dx, dy = rng.integers(0, 200, (2, 500)).astype(np.int32)
+    x, y, z = (x + dx).astype(np.int32), (y + dy).astype(np.int32), (z % 5).astype(np.int32)
+    got = lowest_per_cell(x, y, z, Cells.of(0.2, Scale()))
+    best = np.lexsort((y, x, z, column, row))
+    first = np.unique((row * 20 + column)[best], return_index=True)[1]
+    assert np.array_equal(np.stack([x, y, z])[:, got], np.stack([x, y, z])[:, best[first]])
+
+
+@pytest.mark.parametrize("size", [1.0, 20.0, 0.3])
+def test_a_shift_by_whole_cells_changes_nothing(size: float) -> None:
+    x, y, z = columns(np.random.default_rng(3).integers(-50_000, 50_000, (400, 3)).tolist())
+    cells = Cells.of(size, Scale(origin=(17, -333)))
+    step = int(size * 1000)
+    want = lowest_per_cell(x, y, z, cells)
+    moved = (x + 7 * step).astype(np.int32), (y - 11 * step).astype(np.int32)
+    assert np.array_equal(lowest_per_cell(*moved, z, cells), want)
+
+
+def test_the_frame_does_not_enter() -> None:
+    x, y, z = columns(np.random.default_rng(4).integers(-50_000, 50_000, (400, 3)).tolist())
+    want = lowest_per_cell(x, y, z, Cells.of(1.0, Scale(origin=(5, 12_345))))
+    moved = (x + 5).astype(np.int32), (y + 12_345).astype(np.int32)
+    assert np.array_equal(lowest_per_cell(*moved, z, Cells.of(1.0, Scale())), want)
+
+
+@given(
+    column=st.integers(-(10**6), 10**6),
+    size=st.sampled_from([0.1, 0.3, 1.0, 20.0, 30.48]),
+    unit=st.sampled_from([Fraction(1, 1000), FEET, Fraction(1, 7)]),
+    origin=st.integers(-(10**9), 10**9),
+)
+def test_west_is_the_first_count_of_a_column(column: int, size: float, unit: Fraction, origin: int) -> None:
+    cells = Cells.of(size, Scale(unit, unit, (origin, -origin)))
+    if Fraction(repr(size)) / unit < 1:
+        return
+    west, south = cells.west(column), cells.south(column)
+    assert cells.column(west) == column == cells.row(south)
+    assert cells.column(west - 1) == column - 1 == cells.row(south - 1)
+
+
+def test_sizes_are_the_decimal_numbers_that_they_print_as() -> None:
+    assert Cells.of(0.1, Scale()) == Cells(100, 1, 0, 0)
+    assert Cells.of(20, Scale(FEET, FEET)) == Cells(25_000_000, 381, 0, 0)
+
+
+def test_lengths_in_counts() -> None:
+    scale = Scale(FEET, Fraction(1, 100))
+    assert scale.counts(3.048) == pytest.approx(10_000, rel=1e-15)
+    assert scale.counts_z(1.4) == 140.0
+    assert scale.z_ratio == pytest.approx(0.01 / 0.0003048, rel=1e-15)
+
+
+@pytest.mark.parametrize("spread", [1, 1000])
+def test_an_index_lists_each_point_under_its_cell(spread: int) -> None:
+    rng = np.random.default_rng(6)
+    x, y = (rng.integers(-9000, 9000, (2, 300)) * spread).astype(np.int32)
+    cells = Cells.of(1.0, Scale(origin=(3, -77)))
+    index = CellIndex(x, y, cells)
+    assert (index.slots.size > 0) == (spread == 1)
+    listed = 0
+    for k in range(300):
+        column, row = cells.column(int(x[k])) - index.col0, cells.row(int(y[k])) - index.row0
+        slot = slot_of(index.slots, index.keys, index.width, index.height, column, row)
+        members = index.order[index.starts[slot] : index.starts[slot + 1]]
+        assert k in members
+        listed += 1 / members.size
+    assert listed == pytest.approx(index.keys.size)
+    for column, row in ((-1, 0), (0, -1), (index.width, 0), (0, index.height)):
+        assert slot_of(index.slots, index.keys, index.width, index.height, column, row) == -1
+
+
+def test_no_points_no_cells() -> None:
+    assert lowest_per_cell(*columns([]), Cells.of(1.0, Scale())).size == 0

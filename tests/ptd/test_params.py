@@ -1,0 +1,132 @@
+"""Parameters: their ranges, and what texts are read as."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import pytest
+
+from ptd.methods import METHODS, make_params
+from ptd.methods.classic import Classic
+from ptd.params import check, parameter, parse, to_json
+
+
+@dataclass(frozen=True)
+class Sample:
+    length_m: float = parameter(2.0, "a length", unit="m", minimum=0.5, maximum=10.0)
+    angle_deg: float = parameter(0.0, "an angle", unit="deg", minimum=0.0, maximum=90.0)
+    times: int = parameter(1, "a number", minimum=0, maximum=9)
+    free: float = parameter(1.0, "any number")
+    switch: bool = parameter(True, "a switch")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def test_texts_are_read_by_the_kind_of_the_default() -> None:
+    texts = {"length_m": "3.5", "angle_deg": "1e1", "times": "4", "free": "-7", "switch": "no"}
+    assert parse(Sample, texts) == Sample(3.5, 10.0, 4, -7.0, False)
+    assert parse(Sample, {}) == Sample()
+
+
+@pytest.mark.parametrize(("alias", "full"), [("length", "length_m"), ("angle", "angle_deg")])
+def test_a_name_may_leave_out_its_unit(alias: str, full: str) -> None:
+    assert parse(Sample, {alias: "4"}) == replace(Sample(), **{full: 4.0})
+
+
+@pytest.mark.parametrize("text", ["true", "YES", "1", "True"])
+def test_words_that_are_true(text: str) -> None:
+    assert parse(Sample, {"switch": text}).switch is True
+
+
+@pytest.mark.parametrize("text", ["false", "No", "0"])
+def test_words_that_are_false(text: str) -> None:
+    assert parse(Sample, {"switch": text}).switch is False
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        ({"width": "1"}, "no parameter 'width'; there are length_m, angle_deg, times, free, switch"),
+        ({"switch_m": "1"}, "no parameter 'switch_m'"),
+        ({"length": "1", "length_m": "2"}, "length_m: given twice"),
+        ({"length": "long"}, "length_m 'long': must be a number"),
+        ({"length": ""}, "length_m '': must be a number"),
+        ({"times": "2.5"}, "times '2.5': must be a whole number"),
+        ({"switch": "maybe"}, "switch 'maybe': must be true or false"),
+        ({"length": "0.4"}, "length_m 0.4: must be between 0.5 and 10 m"),
+        ({"length": "nan"}, "length_m nan: must be between 0.5 and 10 m"),
+        ({"length": "inf"}, "length_m inf: must be between 0.5 and 10 m"),
+        ({"angle": "-1"}, "angle_deg -1: must be between 0 and 90 deg"),
+        ({"times": "10"}, "times 10: must be between 0 and 9"),
+    ],
+)
+def test_texts_that_are_refused(texts: dict[str, str], message: str) -> None:
+    with pytest.raises(ValueError) as error:
+        parse(Sample, texts)
+    assert str(error.value).startswith(message)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"angle_deg": True}, "angle_deg True: must be a number"),
+        ({"times": False}, "times False: must be a whole number"),
+        ({"times": 2.0}, "times 2.0: must be a whole number"),
+        ({"switch": 1}, "switch 1: must be true or false"),
+        ({"length_m": "3"}, "length_m '3': must be a number"),
+        ({"length_m": None}, "length_m None: must be a number"),
+    ],
+)
+def test_values_of_another_kind_are_refused(values: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError) as error:
+        Sample(**values)
+    assert str(error.value) == message
+
+
+def test_the_ends_of_a_range_belong_to_it() -> None:
+    assert Sample(length_m=0.5).length_m == 0.5
+    assert Sample(length_m=10).length_m == 10
+
+
+LIMITS = [
+    (name, spec.name, end)
+    for name, method in METHODS.items()
+    for spec in fields(method.params)
+    for end in ("minimum", "maximum")
+    if spec.metadata[end] is not None
+]
+
+
+@pytest.mark.parametrize(("method", "name", "end"), LIMITS)
+def test_each_limit_of_each_method_holds(method: str, name: str, end: str) -> None:
+    params = METHODS[method].params
+    spec = next(s for s in fields(params) if s.name == name)
+    limit = spec.metadata[end]
+    assert getattr(params(**{name: type(spec.default)(limit)}), name) == limit
+    outside = limit + (1 if end == "maximum" else -1)
+    with pytest.raises(ValueError, match=rf"^{name} .*: must be between "):
+        params(**{name: type(spec.default)(outside)})
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_each_parameter_says_what_it_is(method: str) -> None:
+    for spec in fields(METHODS[method].params):
+        assert spec.metadata["help"]
+        unit = spec.metadata["unit"]
+        assert (unit == "m") == spec.name.endswith("_m")
+        assert (unit == "deg") == spec.name.endswith("_deg")
+
+
+def test_methods_by_name() -> None:
+    assert make_params("classic") == Classic()
+    assert make_params("classic", {"iteration_angle": "6"}).iteration_angle_deg == 6.0
+    with pytest.raises(ValueError, match="no method 'best'; there are classic"):
+        make_params("best")
+
+
+def test_json_gives_the_parameters_back() -> None:
+    params = Classic(rounds=3, label_pass=False)
+    assert Classic(**to_json(params)) == params
+    assert list(to_json(params)) == [spec.name for spec in fields(Classic)]
