@@ -6,10 +6,8 @@ import dataclasses
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from fractions import Fraction
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +15,16 @@ import numpy as np
 
 from ptd.methods import METHODS
 from ptd.warm import warm_filters, warm_gridding
-from tiler import __version__
 from tiler.config import RunConfig
 from tiler.core.lattice import Cell
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import LABELS
+from tiler.job import Commits, Job, RunResult
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
-from tiler.perform import peak_rss_bytes, perform
 from tiler.plan import GRID_BLOCK, KEEP, Plan, crs_name, make_plan, refuse
-from tiler.report import write_run_file
-from tiler.schedule import Executor, Outcome, Task, digest_of, make_executor
+from tiler.schedule import Task, digest_of
 from tiler.store import BucketInfo, TileStore, create_store, open_store, remove_store, store_exists
 from tiler.tasks import (
     Assembled,
@@ -45,132 +41,7 @@ from tiler.tasks import (
 )
 
 STAGES = ("ingest", "filter", "grid", "export")
-LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
 HASH_PIECE = 1 << 22
-
-Warm = Callable[[Callable[[], None]], None]
-Commits = dict[str, tuple[str, dict[str, Any]]]
-
-
-@dataclass
-class RunResult:
-    """How a run ended.
-
-    Attributes
-    ----------
-    exit_code : int
-        0, or 5 if something was left out.
-    summary : dict
-        What ``run.json`` says.
-    did_nothing : bool
-        Everything had been done before.
-    """
-
-    exit_code: int
-    summary: dict[str, Any]
-    did_nothing: bool
-
-
-@dataclass
-class Job:
-    """A run at work: what the stages share."""
-
-    plan: Plan
-    out: Path
-    store: TileStore
-    listener: Listener
-    executor: Executor | None = None
-    computed: int = 0
-    stages: dict[str, dict[str, Any]] = field(default_factory=dict)
-    quarantined: list[dict[str, str]] = field(default_factory=list)
-    failed: list[dict[str, str]] = field(default_factory=list)
-    facts: dict[str, Any] = field(default_factory=dict)
-
-    def note(self, text: str) -> None:
-        """Tell people what was decided for them."""
-        self.listener("note", {"text": text})
-
-    def sorted_out(self, stage: str, tasks: Iterable[Task]) -> tuple[Commits, Commits]:
-        """Commits of a stage that hold for these tasks, and those that do not: of other settings or inputs."""
-        digests = {task.key: task.digest for task in tasks}
-        found = self.store.committed(stage)
-        done = {key: commit for key, commit in found.items() if commit[0] == digests.get(key)}
-        return done, {key: commit for key, commit in found.items() if key not in done}
-
-    def take_back(self, stage: str, keys: Iterable[str]) -> None:
-        """Tasks are done no more: always before what they wrote is overwritten or removed.
-
-        Else a run that is killed on the way would leave commits whose data are another run's.
-        """
-        for key in keys:
-            self.store.uncommit(stage, key)
-
-    def perform(self, stage: str, tasks: Iterable[Task], warm: Warm | None = None) -> Commits:
-        """Do what is not done yet of a stage; commits of all its tasks that succeeded.
-
-        ``warm`` compiles the kernels of the stage, here and once, before local workers would each do so.
-        """
-        wanted = {task.key: task for task in tasks}
-        done, stale = self.sorted_out(stage, wanted.values())
-        self.take_back(stage, stale)
-        todo = [task for key, task in wanted.items() if key not in done]
-        info = {
-            "stage": stage,
-            "tasks": len(wanted),
-            "done": len(done),
-            "points": sum(t.points for t in todo),
-        }
-        self.listener("stage_started", info)
-        start, cpu_peak = time.monotonic(), 0
-        if todo and warm is not None and self.plan.config.scheduler is None:
-            warm(lambda: self.note("compiling kernels (once on this machine)"))
-        if todo and self.executor is None:
-            self.executor = make_executor(self.plan.workers, self.plan.config.scheduler)
-        for outcome in self.executor.run(perform, self.store.url, todo) if todo and self.executor else ():
-            self._finished(outcome)
-            cpu_peak = max(cpu_peak, outcome.peak_rss_bytes)
-            if outcome.record is not None:
-                done[outcome.task.key] = (outcome.task.digest, outcome.record)
-        seconds = round(time.monotonic() - start, 3)
-        self.computed += len(todo)
-        self.stages[stage] = {**info, "computed": len(todo), "seconds": seconds, "peak_rss_bytes": cpu_peak}
-        self.listener("stage_finished", {"stage": stage, "seconds": seconds})
-        self.save("running")
-        return dict(sorted(done.items()))
-
-    def _finished(self, outcome: Outcome) -> None:
-        task = outcome.task
-        if outcome.record is not None:
-            self.listener(
-                "task_done",
-                {"stage": task.stage, "key": task.key, "points": task.points, "seconds": round(outcome.seconds, 3),
-                 "peak_rss_bytes": outcome.peak_rss_bytes},
-            )  # fmt: skip
-            return
-        failure = {
-            "stage": task.stage,
-            "key": task.key,
-            "error": outcome.error or "",
-            "kind": outcome.error_kind or "",
-        }
-        self.listener("task_failed", dict(failure))
-        self.failed.append(failure)
-        if self.plan.config.on_error == "stop":
-            raise ProcessingError(
-                f"{task.stage} {task.key}: {outcome.error}; --on-error skip goes on without it"
-            )
-
-    def save(self, state: str) -> dict[str, Any]:
-        """Write run.json and return its content."""
-        content = {
-            "state": state, "version": __version__, "configuration": self.plan.config.to_json(),
-            "plan": self.plan.to_json(), "libraries": {name: version(name) for name in LIBRARIES},
-            "stages": self.stages, "quarantined": self.quarantined, "failed_tasks": self.failed,
-            "peak_rss_bytes": max([peak_rss_bytes(), *(s["peak_rss_bytes"] for s in self.stages.values())]),
-            **self.facts,
-        }  # fmt: skip
-        write_run_file(self.out, content)
-        return content
 
 
 def run(
