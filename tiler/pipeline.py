@@ -76,7 +76,7 @@ def run(
     started = time.monotonic()
     plan = make_plan(inputs, config, out)
     _make_folder(out)
-    url = config.store or str(out / "store.zarr")
+    url = config.store or str(out.resolve() / "store.zarr")  # workers have folders of their own
     if config.overwrite:
         remove_store(url)
     plan, store = _frozen(plan, url)

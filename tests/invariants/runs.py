@@ -22,7 +22,7 @@ MARK = 0x80
 def settings(**changes: Any) -> RunConfig:
     """One worker, tiles far smaller than the scenes; lengths as numbers of metres."""
     values: dict[str, Any] = {
-        "workers": 1, "resolution": "1", "tile_size": "64", "halo": "40", "memory": "1GiB", **changes,
+        "workers": 1, "resolution": "1", "tile_size": "64", "halo": "80", "memory": "1GiB", **changes,
     }  # fmt: skip
     return RunConfig.from_mapping(values)
 

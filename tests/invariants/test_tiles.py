@@ -22,7 +22,7 @@ def shapes(city: Cloud, tmp_path_factory: pytest.TempPathFactory) -> dict[str, P
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("tile", [32, 96])
+@pytest.mark.parametrize("tile", [pytest.param(32, marks=pytest.mark.slow), 64, 96])
 def test_tiles_do_not_show(shape: str, tile: int, shapes: dict[str, Path], tmp_path: Path) -> None:
     do(shapes[shape], tmp_path / "whole", until="filter", tile_size=UNTILED)
     whole, doubt = stored_labels(tmp_path / "whole")
