@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import random
 import shutil
 from collections.abc import Callable, Iterator, Mapping
@@ -138,6 +139,39 @@ def test_many_eventful_histories(
     rng = random.Random(seed)
     names = history(rng)
     assert_no_trace(names, rng, quarter_files, tmp_path / "out", alone(names[-1]))
+
+
+@pytest.mark.parametrize(
+    ("other", "step"),
+    [
+        ("other pixels", 1),
+        pytest.param("as many other pixels", 1, marks=pytest.mark.slow),
+        pytest.param("fewer files", 9, marks=pytest.mark.slow),
+        pytest.param("other tiles", 9, marks=pytest.mark.slow),
+        pytest.param("two passes", 9, marks=pytest.mark.slow),
+    ],
+)
+def test_another_run_cut_off_at_each_write(
+    other: str,
+    step: int,
+    quarter_files: list[Path],
+    alone: Callable[[str], dict[str, str]],
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / "out"
+    do(quarter_files, out)
+    paths, settings = changes(other, quarter_files)
+    ended = False
+    for writes in itertools.count(3, step):
+        with cut_off(writes):
+            do(paths, out, **settings)
+            ended = True
+        (out / "store.zarr" / "lock.json").unlink(missing_ok=True)
+        if ended:
+            break
+        do(quarter_files, out)
+        assert output_digests(out) == alone("plain"), writes
+    assert writes > 10
 
 
 @pytest.mark.parametrize("other", ["other tiles", "two passes"])

@@ -21,6 +21,7 @@ from .scenes import CM, SCENES, Cloud
 ORIGIN = (-7_123_456, 93_000_017)
 SCALE = Scale(Fraction(1, CM), Fraction(1, CM), ORIGIN)
 DEFAULTS = Classic()
+SIDE = 16_000
 VARIANTS = {
     "defaults": DEFAULTS,
     "mirrored": replace(DEFAULTS, terrain_angle_deg=20.0, iteration_angle_deg=15.0),
@@ -132,6 +133,50 @@ def test_any_window_of_a_few_points(seed: int, n: int, side: int, step: int) -> 
     truth, _ = run(params, cloud, Window.everything())
     x0, y0 = (int(v) for v in rng.integers(0, side, 2))
     share_marked(params, cloud, truth, Window(x0, y0, x0 + side // 2, y0 + side // 2), Window.everything())
+
+
+def small_cells(seed: int) -> tuple[Classic, Cloud, Window]:
+    """Cells small against the window, so that much of it is certified; rough ground, and all kinds of parameters."""
+    rng = np.random.default_rng(seed)
+    n, step = int(rng.integers(1500, 6000)), int(rng.choice([1, 1, 100, 250, 500]))
+    cloud = (rng.integers(0, SIDE, (3, n)) // step * step).astype(np.int32)
+    x, y = cloud[:2] / CM
+    z = rng.choice([0, 8]) * (x // 17 % 2) + 3 * np.sin(x / 9) + rng.choice([0.3, 1.5, 4.0]) * rng.random(n)
+    z[rng.random(n) < 0.05] -= rng.uniform(2, 9)
+    height = 50 if step > 1 else 1
+    cloud[2] = np.rint(z * CM / height) * height
+    centre, radius = rng.integers(0, SIDE, (2, 1)), rng.choice([0, 0.2, 0.4]) * SIDE
+    cloud = cloud[:, ((cloud[:2] - centre) ** 2).sum(axis=0) >= radius**2]
+    params = Classic(
+        max_building_size_m=float(rng.choice([4.0, 6.0, 8.5])), thin_cell_m=float(rng.choice([0.0, 0.7, 1.0, 3.0])),
+        terrain_angle_deg=float(rng.choice([10, 30, 88])), iteration_angle_deg=float(rng.choice([6, 15, 30, 60])),
+        edge_length_reduce_m=float(rng.choice([0, 5])), rounds=int(rng.choice([0, 8, 3])),
+        low_radius_m=float(rng.choice([2.5, 5])), low_depth_m=2.0, low_group=int(rng.choice([0, 1, 5])),
+        label_pass=bool(rng.random() < 0.7),
+    )  # fmt: skip
+    (west, south), (wide, high) = rng.integers(0, SIDE, 2), rng.integers(SIDE // 4, SIDE // 2, 2)
+    return params, cloud, Window(int(west - wide), int(south - high), int(west + wide), int(south + high))
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_any_window_of_small_cells(seed: int) -> None:
+    params, cloud, window = small_cells(seed)
+    truth, _ = run(params, cloud, Window.everything())
+    share_marked(params, cloud, truth, window, window)
+
+
+def test_points_in_cells_that_the_window_cuts_are_marked() -> None:
+    """There another point may be the candidate; and a search for outliers reaches beyond the window."""
+    cloud = SCENES["plane"](np.random.default_rng(1))
+    window = Window(2_050, -OPEN, 9_950, OPEN)
+    inside = cloud[:, cut(cloud, window)]
+    x = inside[0]
+    searching = replace(DEFAULTS, low_radius_m=2.0, max_building_size_m=2.0)
+    for params, first, last in ((replace(searching, low_group=0), 2_100, 9_900), (searching, 2_300, 9_700)):
+        _, marked = run(params, inside, window, Scale(Fraction(1, CM), Fraction(1, CM)))
+        assert marked[(x < first) | (x >= last)].all()
+        assert not marked[(x >= first + 2_000) & (x < last - 2_000)].any()
 
 
 def test_a_window_without_candidates_knows_nothing() -> None:

@@ -1,0 +1,98 @@
+"""The last pass by hand, and low noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ptd.criteria import Limits
+from ptd.frame import Scale
+from ptd.labelling import Locator, LowNoise, label_points
+from ptd.tin.mesh import Tin
+
+LIMITS = Limits.of(Scale(), distance_m=1.4, angle_deg=6.0, terrain_deg=88.0)
+FLOOR = 300.0
+
+
+def flat() -> Tin:
+    """Level ground of 100 m, a vertex each 10 m, one of them a metre up."""
+    x, y = np.meshgrid(np.arange(0, 100_001, 10_000), np.arange(0, 100_001, 10_000))
+    z = np.where((x == 50_000) & (y == 50_000), 1000, 0)
+    return Tin.build(x.ravel(), y.ravel(), z.ravel())
+
+
+def label(
+    tin: Tin, points: list[tuple[int, int, int]], doubt: bool = False, **options: bool
+) -> tuple[list[int], list[bool]]:
+    x, y, z = np.ascontiguousarray(np.array(points, np.int32).reshape(-1, 3).T)
+    in_doubt = np.full(tin.n_triangles, doubt, np.uint8)
+    floor = 0.0 if options.get("vertices_only") else FLOOR
+    labels, marked = label_points(tin, Locator(tin), x, y, z, in_doubt, LIMITS, floor, **options)
+    return labels.tolist(), marked.tolist()
+
+
+@pytest.mark.parametrize(
+    ("point", "ground"),
+    [
+        ((15_000, 12_000, 200), True),  # below the floor
+        ((15_000, 12_000, -300), True),
+        ((15_000, 12_000, 520), True),  # above it: 5.5 degrees to the nearest corner, 5.4 m away
+        ((15_000, 12_000, 580), False),  # 6.1 degrees
+        ((10_100, 10_100, 300), True),  # near a vertex at a steep angle: the floor
+        ((10_100, 10_100, 301), False),
+        ((10_000, 10_000, 300), True),  # above a vertex
+        ((10_000, 10_000, -300), True),
+        ((10_000, 10_000, 301), False),
+        ((10_000, 10_000, -301), False),
+        ((50_000, 50_000, 1000), True),
+        ((50_000, 50_000, 0), False),
+        ((-5, 50_000, 0), False),  # outside the hull
+        ((0, 50_000, 0), True),  # on it
+    ],
+)
+def test_by_hand(point: tuple[int, int, int], ground: bool) -> None:
+    assert label(flat(), [point]) == ([2 if ground else 1], [False])
+
+
+def test_without_a_last_pass_only_vertices_are_ground() -> None:
+    points = [(10_000, 10_000, 0), (10_000, 10_000, 1), (15_000, 12_000, 0), (50_000, 50_000, 1000)]
+    assert label(flat(), points, vertices_only=True) == ([2, 1, 1, 2], [False] * 4)
+
+
+def test_what_rests_on_a_triangle_in_doubt_is_marked() -> None:
+    points = [(10_000, 10_000, 0), (15_000, 12_000, 0), (15_000, 12_000, 9_000), (-5, 50_000, 0)]
+    assert label(flat(), points, doubt=True) == ([2, 2, 1, 1], [True] * 4)
+
+
+def test_on_an_edge_the_triangle_behind_it_counts() -> None:
+    tin = flat()
+    x, y, z = (np.array([v], np.int32) for v in (15_000, 20_000, 0))
+    home = tin.locate(15_000, 20_000)
+    beside = {tin.locate(15_000, 20_001), tin.locate(15_000, 19_999)} - {home}
+    for t in range(tin.n_triangles):
+        in_doubt = (np.arange(tin.n_triangles) == t).astype(np.uint8)
+        _, marked = label_points(tin, Locator(tin), x, y, z, in_doubt, LIMITS, FLOOR)
+        assert marked[0] == (t == home or t in beside)
+
+
+def test_pieces_and_order_change_nothing() -> None:
+    rng = np.random.default_rng(6)
+    points = rng.integers(-20_000, 120_000, (2000, 3))
+    points[:, 2] = rng.integers(-900, 900, 2000)
+    tin = flat()
+    whole, _ = label(tin, points.tolist())
+    order = rng.permutation(2000)
+    pieces = [label(tin, points[part].tolist())[0] for part in np.array_split(order, 7)]
+    assert np.array_equal(np.array(whole)[order], np.concatenate(pieces))
+    assert 1 < len(set(whole)) < 3
+
+
+def test_no_points_no_labels() -> None:
+    assert label(flat(), []) == ([], [])
+
+
+def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
+    low = LowNoise(np.array([5, 9, 5]), np.array([-100, 7, -80], np.int32))
+    keys, z = np.array([5, 5, 5, 9, 9, 4, 6, 10]), np.array([-80, -79, -900, 7, 8, -900, -900, 0], np.int32)
+    assert low.holds(keys, z).tolist() == [True, False, True, True, False, False, False, False]
+    assert not LowNoise(np.zeros(0, np.int64), np.zeros(0, np.int32)).holds(keys, z).any()
