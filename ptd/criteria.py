@@ -199,13 +199,40 @@ def accepts(
         return z == vertices[4 * v + 2], False, in_doubt[t] != 0
     beside = across(vertices, triangles, t, x, y)
     doubtful = in_doubt[t] != 0 or in_doubt[beside] != 0
-    distance, nearest, cos2, edge = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
+    measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
+    passed, mirrored, unsure = judge(vertices, triangles, t, x, y, z, measures, limits, in_doubt)
+    return passed, mirrored or beside != t, doubtful or unsure
+
+
+@kernel
+def judge(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    measures: tuple[float, float, float, float],
+    limits: Limits,
+    in_doubt: UInt8,
+) -> tuple[bool, bool, bool]:
+    """`accepts` for a point off the vertices whose `facet_measures` are known: what goes beyond them.
+
+    Returns
+    -------
+    passed : bool
+    mirrored : bool
+        The point was tested elsewhere.
+    doubtful : bool
+        What is there is in doubt.
+    """
+    distance, nearest, cos2, edge = measures
     if edge < limits.stop_edge:
-        return False, beside != t, doubtful
+        return False, False, False
     if cos2 >= limits.steep_cos2:
-        return within(distance, nearest, edge, limits), beside != t, doubtful
+        return within(distance, nearest, edge, limits), False, False
     other, mx, my = mirror_facet(vertices, triangles, t, x, y)
-    doubtful = doubtful or in_doubt[other] != 0
+    doubtful = in_doubt[other] != 0
     if is_ghost(triangles, other):
         return False, True, doubtful
     v = coincident_vertex(vertices, triangles, mx, my, other)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64
 from ptd.certify import UInt8
-from ptd.criteria import Limits, accepts, facet_measures
+from ptd.criteria import Limits, across, facet_measures, judge
 from ptd.kernel import kernel, wide
 from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
@@ -88,12 +88,17 @@ def _label(
             continue
         if vertices_only:
             continue
-        passed, _elsewhere, marked[i] = accepts(vertices, triangles, t, x[i], y[i], z[i], limits, in_doubt)
-        if not passed:
-            distance, _nearest, _cos2, _edge = facet_measures(
-                vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio
-            )
-            passed = abs(distance) <= floor
+        if in_doubt[across(vertices, triangles, t, x[i], y[i])] != 0:
+            marked[i] = True
+        measures = facet_measures(vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio)
+        if abs(measures[0]) <= floor:
+            labels[i] = 2
+            continue
+        passed, _mirrored, unsure = judge(
+            vertices, triangles, t, x[i], y[i], z[i], measures, limits, in_doubt
+        )
+        if unsure:
+            marked[i] = True
         if passed:
             labels[i] = 2
 

@@ -228,7 +228,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     filled = [s for s in sources if s.points and s.bounds is not None]
     notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
     if not filled:
-        raise InputError(f"{len(sources)} readable inputs hold no point: nothing to make a terrain of")
+        raise InputError(f"{_names(sources)}: hold no point; nothing to make a terrain of")
     limits = None if config.bounds is None else bounds_in_counts(config.bounds)
     extent, area = _extent(filled, float(agreement.units.horizontal))
     frame = CoordFrame(agreement.units, _origin(extent), agreement.wkt)
@@ -288,6 +288,10 @@ def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
     except ValueError as error:
         raise ConfigError(f"--set {error} (method {config.method})") from error
     return to_json(params), params
+
+
+def _names(sources: Sequence[SourceInfo]) -> str:
+    return f"{sources[0].path}" + (f" and {len(sources) - 1} more files" if len(sources) > 1 else "")
 
 
 def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceInfo], list[tuple[str, str]]]:

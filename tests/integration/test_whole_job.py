@@ -26,7 +26,13 @@ def test_it_succeeds_and_leaves_what_it_says(finished_run: Finished, demo: DemoS
     assert not result.did_nothing
     names = {"dtm.tif", *(f"classified/{path.name}" for path in demo.paths)}
     assert result.summary["outputs"] == {name: (out / name).stat().st_size for name in names}
-    assert {p.name for p in out.iterdir()} == {"dtm.tif", "classified", "store.zarr", "run.json", "events.jsonl"}
+    assert {p.name for p in out.iterdir()} == {
+        "dtm.tif",
+        "classified",
+        "store.zarr",
+        "run.json",
+        "events.jsonl",
+    }
     assert not list(out.rglob("*.partial*"))
     assert not (out / "store.zarr" / "lock.json").exists()
 
@@ -105,7 +111,20 @@ def test_events_tell_the_same(finished_run: Finished) -> None:
 
 def test_the_command_line_does_the_same(finished_run: Finished, demo: DemoScene, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    options = ("-o", out, "--workers", 2, "--resolution", 1, "--tile-size", 128, "--halo", 80, "--memory", "1GiB")
+    options = (
+        "-o",
+        out,
+        "--workers",
+        2,
+        "--resolution",
+        1,
+        "--tile-size",
+        128,
+        "--halo",
+        80,
+        "--memory",
+        "1GiB",
+    )
     first = tiler("run", *demo.paths, *options)
     assert first.returncode == 0, first.stderr
     assert "DTM" in first.stdout

@@ -21,7 +21,9 @@ COUNTS = st.integers(-(10**7), 10**7)
 
 
 @given(COUNTS, COUNTS, st.integers(1, 3000), st.integers(1, 3000), SIZES, st.integers(1, 600))
-def test_blocks_cover_each_pixel_once(x: int, y: int, wide: int, high: int, size: Fraction, block: int) -> None:
+def test_blocks_cover_each_pixel_once(
+    x: int, y: int, wide: int, high: int, size: Fraction, block: int
+) -> None:
     extent = Bounds(x, y, x + wide, y + high)
     lattice = Lattice(max(size, Fraction(max(wide, high), 300)))
     spec = RasterSpec.covering(lattice, extent)

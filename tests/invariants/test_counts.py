@@ -26,7 +26,9 @@ def mixed(city: Cloud, tmp_path: Path) -> list[Path]:
     ]
 
 
-def test_every_point_is_stored_or_dropped_for_a_reason(mixed: list[Path], city: Cloud, tmp_path: Path) -> None:
+def test_every_point_is_stored_or_dropped_for_a_reason(
+    mixed: list[Path], city: Cloud, tmp_path: Path
+) -> None:
     x, y = CORNER
     bounds = [x + 30.5, y + 20.25, x + 170.0, y + 300.0]
     result = do(mixed, tmp_path / "out", until="ingest", bounds=bounds)
@@ -52,7 +54,8 @@ def test_kept_out_and_participating_make_all_stored(mixed: list[Path], city: Clo
     assert counts["duplicates_within_files"] == len(city) - len(np.unique(city.xyz, axis=0))
     found = result.summary["filter"]
     assert found["kept"] == counts["kept_out"]
-    assert found["points"] == found["kept"] + found["ground"] + found["low_noise"] + found["unclassified"] == counts["stored"]
+    total = found["kept"] + found["ground"] + found["low_noise"] + found["unclassified"]
+    assert found["points"] == total == counts["stored"]
 
 
 def test_a_run_that_drops_everything_says_so(city_file: Path, tmp_path: Path) -> None:

@@ -19,7 +19,9 @@ def assert_same_terrain(out: Path, other: Path) -> None:
     assert np.array_equal(classes_by_point(out), classes_by_point(other))
 
 
-def test_order_of_the_names_changes_no_byte(quarter_files: list[Path], finished: Path, tmp_path: Path) -> None:
+def test_order_of_the_names_changes_no_byte(
+    quarter_files: list[Path], finished: Path, tmp_path: Path
+) -> None:
     do(quarter_files[::-1], tmp_path / "out")
     assert output_digests(tmp_path / "out") == output_digests(finished)
 
@@ -30,7 +32,9 @@ def test_one_file_or_four(city_file: Path, finished: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_shuffled_points_in_files_without_sense(city: Cloud, finished: Path, tmp_path: Path, seed: int) -> None:
+def test_shuffled_points_in_files_without_sense(
+    city: Cloud, finished: Path, tmp_path: Path, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     order = rng.permutation(len(city))
     parts = np.array_split(order, 3)

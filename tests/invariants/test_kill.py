@@ -38,8 +38,6 @@ def output_digests_that_exist(out: Path) -> dict[str, str]:
     return output_digests(out) if (out / "dtm.tif").exists() else {}
 
 
-
-
 @pytest.fixture(scope="module")
 def duration(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) -> float:
     """Seconds of an undisturbed run in a forked process."""
@@ -71,7 +69,10 @@ def kill_and_resume(paths: list[Path], out: Path, expected: dict[str, str], wait
         assert found["computed"] == found["tasks"] - len(before[stage])
     assert not list(out.rglob("*.partial*"))
     assert not (out / "store.zarr" / "lock.json").exists()
-    assert events_done(out) <= {(stage, key): 1 for stage, tasks in finished_tasks(out).items() for key in tasks}.keys()
+    assert (
+        events_done(out)
+        <= {(stage, key): 1 for stage, tasks in finished_tasks(out).items() for key in tasks}.keys()
+    )
     assert do(paths, out).did_nothing
 
 

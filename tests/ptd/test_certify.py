@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from ptd.certify import Doubt
@@ -124,7 +124,9 @@ def test_any_window_of_any_scene(
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 10**6), n=st.integers(1, 60), side=st.integers(500, 12000), step=st.integers(1, 700))
+@given(
+    seed=st.integers(0, 10**6), n=st.integers(1, 60), side=st.integers(500, 12000), step=st.integers(1, 700)
+)
 def test_any_window_of_a_few_points(seed: int, n: int, side: int, step: int) -> None:
     rng = np.random.default_rng(seed)
     cloud = rng.integers(0, side, (3, n)).astype(np.int32) // step * step
@@ -160,6 +162,12 @@ def small_cells(seed: int) -> tuple[Classic, Cloud, Window]:
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6))
+@example(
+    seed=109
+)  # these four were wrong when cells cut by the window, and empty cells near it, counted as known
+@example(seed=131)
+@example(seed=141)
+@example(seed=189)
 def test_any_window_of_small_cells(seed: int) -> None:
     params, cloud, window = small_cells(seed)
     truth, _ = run(params, cloud, Window.everything())

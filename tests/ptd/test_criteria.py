@@ -30,7 +30,9 @@ def limits(**values: float) -> Limits:
     return Limits.of(Scale(), **{"distance_m": 1.4, "angle_deg": 25.0, "terrain_deg": 88.0, **values})
 
 
-def judge(tin: Tin, x: int, y: int, z: int, doubt: set[int] = frozenset(), **values: float) -> tuple[bool, bool, bool]:  # type: ignore[assignment]
+def judge(
+    tin: Tin, x: int, y: int, z: int, doubt: set[int] = frozenset(), **values: float
+) -> tuple[bool, bool, bool]:  # type: ignore[assignment]
     """Passed, elsewhere, doubtful; `doubt` are triangles in doubt."""
     in_doubt = np.array([t in doubt for t in range(tin.n_triangles)], np.uint8)
     t = tin.locate(x, y)
@@ -200,7 +202,9 @@ def test_measures_are_exact_to_a_few_bits_and_do_not_feel_a_shift(
     got = facet_measures(tin.vertex_array, tin.triangle_array, t, *point, 1.0)
     height = int((normal * (p - a)).sum())
     size = float((abs(normal) * abs(p - a)).sum()) / math.sqrt(n2)
-    assert got[0] == pytest.approx(math.copysign(math.sqrt(Fraction(height * height, n2)), height), abs=1e-12 * size + 1e-9)
+    assert got[0] == pytest.approx(
+        math.copysign(math.sqrt(Fraction(height * height, n2)), height), abs=1e-12 * size + 1e-9
+    )
     assert got[1] == pytest.approx(math.sqrt(min(int(((p - q) ** 2).sum()) for q in (a, b, c))), rel=1e-14)
     assert got[2] == pytest.approx(float(Fraction(int(normal[2]) ** 2, n2)), rel=1e-12)
     edges = [int(((q - r)[:2] ** 2).sum()) for q, r in ((a, b), (b, c), (c, a))]

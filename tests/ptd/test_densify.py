@@ -17,7 +17,9 @@ from ptd.frame import Scale, Window
 from ptd.tin.mesh import Tin
 
 EVERYTHING = Window.everything()
-CORNERS = np.array([[-50_000, -50_003, 0], [150_001, -50_000, 0], [-50_002, 150_000, 0], [150_000, 150_004, 0]])
+CORNERS = np.array(
+    [[-50_000, -50_003, 0], [150_001, -50_000, 0], [-50_002, 150_000, 0], [150_000, 150_004, 0]]
+)
 
 
 def measures(corners: np.ndarray, p: np.ndarray) -> tuple[float, float, float, float]:
@@ -53,14 +55,18 @@ def naive(seeds: np.ndarray, candidates: np.ndarray, limits: Limits, rounds: int
         done += 1
         points = np.vstack([seeds, candidates[chosen]]).astype(float)
         mesh = Delaunay(points[:, :2])
-        new = [k for k in np.flatnonzero(~chosen) if passes(points, mesh, candidates[k].astype(float), limits)]
+        new = [
+            k for k in np.flatnonzero(~chosen) if passes(points, mesh, candidates[k].astype(float), limits)
+        ]
         if not new:
             break
         chosen[new] = True
     return chosen
 
 
-def run(seeds: np.ndarray, candidates: np.ndarray, limits: Limits, rounds: int) -> tuple[np.ndarray, Tin, int]:
+def run(
+    seeds: np.ndarray, candidates: np.ndarray, limits: Limits, rounds: int
+) -> tuple[np.ndarray, Tin, int]:
     tin = Tin.build(*seeds.T, max_vertices=len(seeds) + len(candidates))
     x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
     state = np.zeros(x.size, np.uint8)

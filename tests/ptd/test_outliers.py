@@ -15,7 +15,9 @@ from ptd.outliers import low_outliers
 FEET = Fraction(3048, 10**7)
 
 
-def by_counting(x: np.ndarray, y: np.ndarray, z: np.ndarray, radius: float, depth: float, group: int) -> np.ndarray:
+def by_counting(
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, radius: float, depth: float, group: int
+) -> np.ndarray:
     """The definition, all pairs, in counts."""
     dx, dy, dz = (v[None, :].astype(float) - v[:, None] for v in (x, y, z))
     near = dx * dx + dy * dy <= radius * radius

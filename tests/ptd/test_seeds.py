@@ -14,7 +14,10 @@ Point = tuple[int, int, int]
 
 
 def choose(
-    points: list[Point], known: Window | None = None, eligible: list[bool] | None = None, scale: Scale | None = None
+    points: list[Point],
+    known: Window | None = None,
+    eligible: list[bool] | None = None,
+    scale: Scale | None = None,
 ) -> tuple[Seeds, Doubt]:
     scale = scale or Scale()
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)

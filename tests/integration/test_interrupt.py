@@ -1,0 +1,125 @@
+"""Ctrl-C and kill on the whole process group: 130 at once, no process left behind, and the same command goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from tests.integration.command import command, environment, tiler
+from tests.invariants import clouds
+from tests.invariants.runs import do, output_digests, the_store
+
+STAGES = ("spool", "assemble", "filter0", "grid-dtm", "export")
+OPTIONS = ("--workers", 2, "--resolution", 1, "--tile-size", 64, "--halo", 80, "--memory", "1GiB")
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Large enough that there is time to hit it."""
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(400.0, 4.0))
+
+
+def wait_for(out: Path, event: str, stage: str, process: subprocess.Popen[str]) -> None:
+    """Wait until an event of a stage is in the log."""
+    log = out / "events.jsonl"
+    for _ in range(3000):
+        if log.exists():
+            events = [json.loads(line) for line in log.read_text().splitlines() if line.endswith("}")]
+            if any(e["event"] == event and e.get("stage") == stage for e in events):
+                return
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+    raise AssertionError(f"no {event} of {stage}")
+
+
+def start(cloud: Path, out: Path) -> subprocess.Popen[str]:
+    """The command at the head of a process group of its own, as a shell starts it."""
+    return subprocess.Popen(
+        command("run", cloud, "-o", out, *OPTIONS), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=environment(), start_new_session=True,
+    )  # fmt: skip
+
+
+def all_gone(group: list[psutil.Process]) -> bool:
+    _, alive = psutil.wait_procs(group, timeout=15)
+    return not alive
+
+
+@pytest.mark.parametrize("stage", ["filter0"])
+def test_ctrl_c_ends_at_once_and_the_command_goes_on(stage: str, cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = start(cloud, out)
+    wait_for(out, "task_done", stage, process)
+    group = psutil.Process(process.pid).children(recursive=True)
+    assert len(group) >= 2
+    began = time.monotonic()
+    os.killpg(process.pid, signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert time.monotonic() - began < 20
+    assert process.returncode == 130, error
+    assert error.splitlines()[-1] == "tiler: interrupted; the same command goes on where it was"
+    assert "Traceback" not in error
+    assert all_gone(group)
+    assert json.loads((out / "run.json").read_text())["state"] == "interrupted"
+    assert not list(out.rglob("*.partial*"))
+    goes_on_to_the_same(cloud, out, tmp_path)
+
+
+def test_kill_of_the_whole_group(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = start(cloud, out)
+    wait_for(out, "task_done", "filter0", process)
+    group = psutil.Process(process.pid).children(recursive=True)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate(timeout=60)
+    assert all_gone(group)
+    goes_on_to_the_same(cloud, out, tmp_path)
+
+
+def test_kill_of_the_command_alone_takes_its_workers_along(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = start(cloud, out)
+    wait_for(out, "stage_started", "filter0", process)
+    group = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
+    process.communicate(timeout=60)
+    assert all_gone(group)
+
+
+def test_a_worker_that_dies_is_replaced(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = start(cloud, out)
+    wait_for(out, "task_done", "filter0", process)
+    workers = [
+        p for p in psutil.Process(process.pid).children(recursive=True) if "spawn_main" in str(p.cmdline())
+    ]
+    workers[0].kill()
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 0, error
+    assert output_digests(out) == undisturbed(cloud, tmp_path)
+
+
+def undisturbed(cloud: Path, folder: Path) -> dict[str, str]:
+    do(cloud, folder / "undisturbed")
+    return output_digests(folder / "undisturbed")
+
+
+def goes_on_to_the_same(cloud: Path, out: Path, folder: Path) -> None:
+    """The command again: nothing that was finished is done once more, and the bytes are those of a run in peace."""
+    store = the_store(out)
+    before = {stage: store.committed(stage).keys() for stage in STAGES}
+    assert before["filter0"]
+    found = tiler("run", cloud, "-o", out, *OPTIONS, "--json", "-q")
+    assert found.returncode == 0, found.stderr
+    stages = json.loads(found.stdout)["stages"]
+    for stage in STAGES:
+        assert stages[stage]["done"] == len(before[stage])
+        assert stages[stage]["computed"] == stages[stage]["tasks"] - len(before[stage])
+    assert output_digests(out) == undisturbed(cloud, folder)

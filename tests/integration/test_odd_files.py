@@ -1,0 +1,82 @@
+"""Odd, broken and lying files through the command: the exit code and the line that people get, never a traceback.
+
+===========================================  ====  ======================================================
+file                                         code  the line
+===========================================  ====  ======================================================
+garbage_nVariableLength.las                  3     says so many records, there is room for none
+Semis_2022_0906_6665_nok.laz                 3     its header was never finished
+1.2-with-color-clipped.las, 1.2-no-points    3     says 1065 points, has room for fewer: cut short
+epsg_4326.las, spurious.las                  3     the CRS is geographic
+no-points.las                                3     hold no point
+extra, gps-time-nan, noise-dirty, simple1_3  3     has no CRS; with ``--crs none`` 0
+test_noepsg_..., vegetation_1_3, warsaw      3     has no CRS; with ``--crs none`` 0
+all others                                   0
+===========================================  ====  ======================================================
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import laspy
+import pytest
+
+from tests.integration.command import assert_one_line, tiler
+
+NO_CRS = "has no CRS"
+NO_CRS_FILES = (
+    "extra.laz", "gps-time-nan.las", "noise-dirty.las", "simple1_3.las", "test_noepsg_043500_629205_IGN69.laz",
+    "vegetation_1_3.las", "warsaw_small.las",
+)  # fmt: skip
+REFUSED = {
+    "1.2-no-points.las": "says 1065 points, has room for 0",
+    "1.2-with-color-clipped.las": "says 1065 points, has room for 1064",
+    "Semis_2022_0906_6665_nok.laz": "header was never finished",
+    "epsg_4326.las": "geographic",
+    "garbage_nVariableLength.las": "variable length records",
+    "no-points.las": "hold no point",
+    "spurious.las": "geographic",
+    **dict.fromkeys(NO_CRS_FILES, NO_CRS),
+}
+READ = (
+    "1.0_0.las", "4_6_crop.las", "bad_vlr_count.las", "file_with_both_wkt_and_geotiff_vlrs.las", "fullwave.laz",
+    "simple.copc.laz",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def odd(shared_data: Path) -> Path:
+    if not (shared_data / "odd").is_dir():
+        pytest.skip("no odd files: ../shared/data/odd is absent")
+    return shared_data / "odd"
+
+
+def test_each_file_is_in_the_table(odd: Path) -> None:
+    assert {path.name for path in odd.iterdir()} == {*REFUSED, *READ}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused_in_one_line(name: str, odd: Path, tmp_path: Path) -> None:
+    found = tiler("run", odd / name, "-o", tmp_path / "out", "--workers", 1, "-q")
+    assert found.returncode == 3
+    assert_one_line(found.stderr, name, REFUSED[name])
+    assert not (tmp_path / "out" / "dtm.tif").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*READ, *NO_CRS_FILES])
+def test_read_to_the_end(name: str, odd: Path, tmp_path: Path) -> None:
+    crs = ("--crs", "none") if name in NO_CRS_FILES else ()
+    found = tiler("run", odd / name, "-o", tmp_path / "out", "--workers", 1, "-q", *crs)
+    assert found.returncode == 0, found.stderr
+    assert "Traceback" not in found.stderr
+    (written,) = (tmp_path / "out" / "classified").iterdir()
+    with laspy.open(odd / name) as before, laspy.open(written) as after:
+        assert after.header.point_count == before.header.point_count
+
+
+def test_all_of_them_at_once_is_refused_for_the_degrees(odd: Path, tmp_path: Path) -> None:
+    found = tiler("run", odd, "-o", tmp_path / "out", "--workers", 1, "-q", "--crs", "none")
+    assert found.returncode == 3
+    assert_one_line(found.stderr, "geographic")
