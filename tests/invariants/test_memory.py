@@ -69,4 +69,4 @@ def test_the_tile_size_of_an_earlier_run_is_refused_with_less_memory(
     monkeypatch.setattr("tiler.plan.VERTEX_BYTES", 60_000)
     do(city_file, tmp_path / "out", until="ingest", tile_size="512", memory="8GiB")
     with pytest.raises(ConfigError, match=r"filter needs .* MiB are allowed"):
-        do(city_file, tmp_path / "out", until="ingest", tile_size=None, memory="900MiB")
+        do(city_file, tmp_path / "out", until="ingest", tile_size=None, memory="800MiB")
