@@ -131,16 +131,6 @@ def test_an_eventful_history(
     assert_no_trace(names, rng, quarter_files, tmp_path / "out", alone(names[-1]))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 140))
-def test_many_eventful_histories(
-    seed: int, quarter_files: list[Path], alone: Callable[[str], dict[str, str]], tmp_path: Path
-) -> None:
-    rng = random.Random(seed)
-    names = history(rng)
-    assert_no_trace(names, rng, quarter_files, tmp_path / "out", alone(names[-1]))
-
-
 @pytest.mark.parametrize(
     ("other", "step"),
     [
