@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ptd.frame import Scale, Window
 from ptd.methods import METHODS
 from ptd.params import to_json
+from ptd.passes import Points, RunFacts
 
 COUNTS_PER_METRE = 1000
 LARGEST_EXTENT_M = 60_000.0
@@ -27,7 +28,7 @@ class Result:
     classification : uint8 [n]
         ASPRS: 1 unclassified, 2 ground, 7 low noise.
     decisions : dict
-        Method and effective parameters.
+        Method, effective parameters, and the run-wide statistics that it rests on.
     stats : dict
         Of each pass by name: candidates, vertices, rounds, outliers.
     """
@@ -37,7 +38,15 @@ class Result:
     stats: dict[str, Any]
 
 
-def classify(xyz: npt.ArrayLike, method: str = "classic", params: Any = None) -> Result:
+def classify(
+    xyz: npt.ArrayLike,
+    method: str = "classic",
+    params: Any = None,
+    *,
+    rgb: npt.ArrayLike | None = None,
+    returns: npt.ArrayLike | None = None,
+    sigma: float | None = None,
+) -> Result:
     """Classify a cloud that fits into memory.
 
     Coordinates are rounded to millimetres; lattices are anchored at coordinate 0, as in a tiled run.
@@ -50,12 +59,19 @@ def classify(xyz: npt.ArrayLike, method: str = "classic", params: Any = None) ->
         A name in `ptd.methods.METHODS`.
     params : dataclass, optional
         Parameters of that method; its defaults if left out.
+    rgb : uint16 [n, 3], optional
+        Red, green, blue of any range.
+    returns : uint8 [n, 2], optional
+        Return number and number of returns.
+    sigma : float, optional
+        Noise of heights in metres; estimated by the methods that need it if left out.
 
     Raises
     ------
     ValueError
-        Not an [n, 3] array, values that are not finite, an extent above 60 km, an unknown method, or
-        parameters of another.
+        Not an [n, 3] array, values that are not finite, an extent above 60 km, an unknown method,
+        parameters of another, columns of another length, a column that the method cannot do without, or a
+        cloud that it cannot work on (`ptd.passes.MethodRefusal`).
     """
     points = np.asarray(xyz, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -67,16 +83,37 @@ def classify(xyz: npt.ArrayLike, method: str = "classic", params: Any = None) ->
     if not isinstance(params, wanted):
         raise ValueError(f"params is {type(params).__name__}, method {method} takes {wanted.__name__}")
     counts, scale = _counts(points)
+    columns = {
+        "rgb": _column("rgb", rgb, len(points), 3, np.uint16),
+        "returns": _column("returns", returns, len(points), 2, np.uint8),
+    }
+    for name in METHODS[method].needs:
+        if columns[name] is None:
+            raise ValueError(f"method {method} needs {name}")
     window = Window.everything()
-    state: dict[str, Any] = {}
-    labels = np.ones(len(points), np.uint8)
+    state: dict[str, Any] = {"run": asdict(RunFacts(rgb is not None, sigma))}
+    labels = np.zeros(len(points), np.uint8)
     stats = {}
     for step in params.passes:
-        model = step.fit(counts, window, scale, state)
-        labels, _ = model.label(counts)
+        given = Points(counts, labels if "labels" in step.columns else None, **{
+            name: column for name, column in columns.items() if name in step.columns
+        })  # fmt: skip
+        model = step.fit(given, window, window, scale, state)
+        if step.gives_labels:
+            labels, _ = model.label(given)
         stats[step.name] = model.stats
         state = step.reduce([model.partial()], state)
-    return Result(labels, {"method": method, "parameters": to_json(params)}, stats)
+    return Result(labels, {"method": method, "parameters": to_json(params), "statistics": state}, stats)
+
+
+def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: type) -> Any:
+    """A column [width, n] of what was given as [n, width]; None stays None."""
+    if values is None:
+        return None
+    found = np.asarray(values)
+    if found.shape != (n, width):
+        raise ValueError(f"{name} has shape {found.shape}, must be ({n}, {width}), a row for each point")
+    return np.ascontiguousarray(found.T, dtype)
 
 
 def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Scale]:

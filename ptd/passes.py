@@ -8,9 +8,10 @@ scheduling and of resume.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,37 +20,108 @@ from ptd.frame import Scale, Window
 
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
+UInt16 = npt.NDArray[np.uint16]
 State = Mapping[str, Any]
-"""JSON-able run-wide figures."""
+"""JSON-able run-wide figures, small: each task carries them. Before the first pass: ``{"run": RunFacts as dict}``.
+``notes``, a list of lines that `Pass.reduce` may lengthen, tell the user what was decided from the data."""
 
 
-class Model(Protocol):
-    """A window after a pass."""
+class MethodRefusal(ValueError):
+    """The method cannot work on this run, as only its statistics show; one line for the user."""
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """What is known of a run before its first pass; nothing that changes with each file that is added.
+
+    Attributes
+    ----------
+    rgb : bool
+        Whether points have colours.
+    sigma_m : float or None
+        The noise of heights as the user says it (``--sigma``).
+    """
+
+    rgb: bool = False
+    sigma_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Points:
+    """Columns of ``n`` points; those that a pass does not name in `Pass.columns` are None.
+
+    Attributes
+    ----------
+    xyz : int32 [3, n]
+        Local counts.
+    labels : uint8 [n]
+        Of the last pass that gave labels; 0: none yet.
+    rgb : uint16 [3, n]
+        As the sources give them; all 0 where a source has none.
+    returns : uint8 [2, n]
+        Return number and number of returns; 0 where unknown.
+    """
+
+    xyz: Int32
+    labels: UInt8 | None = None
+    rgb: UInt16 | None = None
+    returns: UInt8 | None = None
+
+    def __len__(self) -> int:
+        return int(self.xyz.shape[1])
+
+
+class Model(ABC):
+    """A window after a pass.
+
+    Attributes
+    ----------
+    stats : dict
+        What was done, for the log: counts and rounds, JSON-able.
+    """
 
     stats: dict[str, Any]
-    """What was done, for the log: counts and rounds, JSON-able."""
 
-    def label(self, xyz: Int32) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-        """Labels (uint8 [n], ASPRS) and marks (bool [n]: not certified) of points int32 [3, n] of the window."""
-        ...
+    @abstractmethod
+    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+        """Labels (uint8 [n], below 128) and marks (bool [n]: not certified) of points of the window.
+
+        The labels of the last pass are ASPRS classes; those of the passes before may mean anything to their method.
+        Not called if the pass gives no labels.
+        """
 
     def partial(self) -> dict[str, Any]:
-        """What this window adds to the run's statistics, JSON-able; {} if the pass has none."""
-        ...
+        """What the window's core adds to the run's statistics, JSON-able; each point is in one core."""
+        return {}
 
 
-class Pass(Protocol):
-    """One step of a method that needs no more than a window and the state."""
+class Pass(ABC):
+    """One step of a method that needs no more than a window and the state.
+
+    Attributes
+    ----------
+    name : str
+        Unique in the method; its state is kept as ``after-<name>``.
+    columns : tuple of str
+        Of `Points` besides xyz: ``labels``, ``rgb``, ``returns``.
+    every_point : bool
+        `fit` wants all points of the window, not one candidate per cell of the method's `candidate_cell_m`.
+    gives_labels : bool
+        Else the pass only measures. The last pass of a method gives labels.
+    """
 
     name: str
+    columns: tuple[str, ...] = ()
+    every_point: bool = False
+    gives_labels: bool = True
 
-    def fit(self, candidates: Int32, window: Window, scale: Scale, state: State) -> Model:
-        """Work on the candidates (int32 [3, n], any order) of a window."""
-        ...
+    @abstractmethod
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+        """Work on the points (in any order) of a window, of which only the core counts for `Model.partial`."""
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """The state after the pass; must not depend on the order of the partials."""
-        ...
+        """The state after the pass; must not depend on the order of the partials. `MethodRefusal` ends the run."""
+        return dict(state)
 
 
 @dataclass(frozen=True)
@@ -64,8 +136,11 @@ class Method:
         (tuple of `Pass`), ``halo_m`` (points around a tile that decisions usually reach), ``align_m``
         (windows are widened to whole cells of this lattice), ``margin_m`` (and by this beyond) and
         ``candidate_cell_m`` (0: every point is a candidate).
+    needs : tuple of str
+        Columns without which the method refuses: ``rgb``.
     """
 
     name: str
     summary: str
     params: type[Any]
+    needs: tuple[str, ...] = ()

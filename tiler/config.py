@@ -64,6 +64,12 @@ class RunConfig:
                                             "never overwritten", kind="classes")  # fmt: skip
     skip_synthetic: bool = setting(False, "synthetic points take no part in filtering", kind="flag")
     skip_overlap: bool = setting(False, "overlap points take no part in filtering", kind="flag")
+    sigma: Fraction | None = setting(None, "noise of heights, for methods that need it; default: estimated from planar "
+                                     "patches", unit="m", kind="length")  # fmt: skip
+    statistics: str | None = setting(
+        None,
+        "OUT folder of an earlier run of the same method, to take its run-wide statistics; default: this run's",
+    )
     compress: str = setting("deflate", "compression of rasters", kind="choice", choices=("deflate", "zstd"))
     on_error: str = setting("skip", "what a broken file or tile does to the run", kind="choice",
                             choices=("skip", "stop"))  # fmt: skip

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from ptd.methods import METHODS
+from ptd.passes import MethodRefusal, Pass, RunFacts, State
 from ptd.warm import warm_filters, warm_gridding
 from tiler.config import RunConfig
 from tiler.core.lattice import Cell
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.errors import ConfigError, InputError, ProcessingError
-from tiler.filter import LABELS
 from tiler.job import Commits, Job, RunResult
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
@@ -257,28 +257,45 @@ def _filter(job: Job, assembled: Assembled) -> dict[Cell, str]:
     job.store.put_state("passes", ever)
     for number in range(len(passes), ever):
         job.store.clear(f"filter{number}")  # its labels are about to be overwritten
-    tasks: list[Task] = []
-    state: dict[str, Any] = {}
-    filtered: Commits = {}
+    config, known = job.plan.config, job.plan.statistics
+    sigma = None if config.sigma is None else float(config.sigma)
+    state: dict[str, Any] = {"run": dataclasses.asdict(RunFacts(job.plan.meta.has_rgb, sigma))}
+    labels = assembled.digests
+    job.facts["statistics"] = {}
     for number, step in enumerate(passes):
-        tasks = list(filter_tasks(job.plan, assembled, number, state))
+        tasks = list(filter_tasks(job.plan, assembled, number, state, labels))
         filtered = job.perform(f"filter{number}", tasks, warm_filters)
         if not filtered:
             raise ProcessingError(f"no tile could be filtered; the first: {job.failed[0]['error']}")
-        state = step.reduce((record["partial"] for _, record in filtered.values()), state)
+        partials = (record["partial"] for _, record in filtered.values())
+        state = _reduced(job, step, partials, state) if known is None else known[step.name]
         job.store.put_state(f"after-{step.name}", state)
-        job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
-    for task in tasks:
-        if task.key not in filtered:
-            _keep_classes(job, task)
-    return label_digests(job.plan, assembled, filtered)
+        job.facts["statistics"][step.name] = state
+        if step.gives_labels:
+            job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
+            for task in tasks:
+                if task.key not in filtered:
+                    _keep_classes(job, task)
+            labels = label_digests(job.plan, assembled, filtered)
+    return labels
+
+
+def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    """The state after a pass; what it decided is told."""
+    try:
+        found = step.reduce(partials, state)
+    except MethodRefusal as error:
+        raise ConfigError(f"--method {job.plan.config.method}: {error}") from error
+    for text in found.get("notes", [])[len(state.get("notes", [])) :]:
+        job.note(text)
+    return found
 
 
 def _keep_classes(job: Job, task: Task) -> None:
     """The points of a tile that failed have no label: not that of an earlier run, either."""
     buckets = job.store.buckets()
     for cell in (Cell(*indices) for indices in task.arguments["cells"]):
-        job.store.write_labels(LABELS, cell, np.zeros(buckets[cell].n, np.uint8))
+        job.store.write_labels(task.arguments["labels_out"], cell, np.zeros(buckets[cell].n, np.uint8))
 
 
 def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:

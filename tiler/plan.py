@@ -20,6 +20,7 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import SourceInfo, agree, bounds_in_counts, find_inputs, inspect
+from tiler.report import earlier_statistics
 from tiler.store import StoreMeta
 
 KEEP = "keep"
@@ -67,6 +68,8 @@ class Plan:
         Path and reason of each file that is left out.
     names : dict of Path to Path
         Of each source's classified file, below OUT/classified.
+    statistics : dict or None
+        State after each pass, by its name, of the earlier run that ``--statistics`` names.
     """
 
     config: RunConfig
@@ -88,6 +91,7 @@ class Plan:
     names: dict[Path, Path] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = field(default=())
+    statistics: dict[str, Any] | None = None
 
     @property
     def density(self) -> float:
@@ -239,6 +243,10 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
         fine=Lattice(frame.counts(FINE_CELL_M)), has_rgb=any(s.has_rgb for s in filled),
     )  # fmt: skip
     memory = config.memory or min(1 << 30, psutil.virtual_memory().total // (4 * (psutil.cpu_count() or 1)))
+    if defaults and "rgb" in METHODS[config.method].needs and not meta.has_rgb:
+        raise ConfigError(
+            f"--method {config.method}: needs colours (RGB), no input has any; use another method"
+        )
     halo = float(config.halo) if config.halo is not None else defaults.halo_m if defaults else 0.0
     cell = defaults.candidate_cell_m if defaults else 0.0
     need = candidate_density(density, cell) * candidate_bytes(cell)
@@ -249,6 +257,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
         _resolution(config, density, notes), tile, halo, memory, config.workers or psutil.cpu_count() or 1,
         defaults.candidate_cell_m if defaults else 0.0, len(defaults.passes) if defaults else 0, points, area,
         limits or extent, output_names(inputs, sources), tuple(notes), tuple(warnings),
+        None if config.statistics is None else earlier_statistics(Path(config.statistics), config.method, parameters),
     )  # fmt: skip
     refuse(plan, out)
     return plan

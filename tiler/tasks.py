@@ -136,20 +136,27 @@ def tiles_of(plan: Plan, cells: Iterable[Cell]) -> dict[Cell, list[Cell]]:
     return {tile: sorted(found[tile]) for tile in sorted(found)}
 
 
-def filter_tasks(plan: Plan, assembled: Assembled, number: int, state: Mapping[str, Any]) -> Iterator[Task]:
-    """One for each tile of a pass."""
+def filter_tasks(
+    plan: Plan, assembled: Assembled, number: int, state: Mapping[str, Any], before: Mapping[Cell, str]
+) -> Iterator[Task]:
+    """One for each tile of a pass; ``before``: bucket -> digest of its contents and its labels so far."""
     frame = plan.meta.frame
     halo = math.ceil(frame.counts(Fraction(plan.halo_m)))
     farthest = math.ceil(frame.counts(Fraction(plan.widest_halo_m)))
     params = METHODS[plan.config.method].params(**plan.parameters)
     sight = farthest + math.ceil(frame.counts(Fraction(sight_m(params))))
+    earlier = [i for i in range(number) if params.passes[i].gives_labels]
+    step, last = params.passes[number], number == len(params.passes) - 1
+    reads = "labels" in step.columns
     for tile, cells in tiles_of(plan, assembled.records).items():
         arguments = {
             "method": plan.config.method, "parameters": plan.parameters, "pass": number, "state": dict(state),
             "cells": [[c.ix, c.iy] for c in cells], "halo": halo, "max_halo": farthest,
             "keep_classes": list(plan.config.keep_classes), "skip_flags": skip_flags(plan),
+            "labels_in": f"{LABELS}-{earlier[-1]}" if earlier and reads else None,
+            "labels_out": LABELS if last else f"{LABELS}-{number}",
         }  # fmt: skip
-        seen = _around(plan.meta.bucket, cells, sight, assembled.digests)
+        seen = _around(plan.meta.bucket, cells, sight, before if reads else assembled.digests)
         points = sum(assembled.records[c]["n"] for c in cells)
         digest = digest_of(__version__, arguments, seen)
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, arguments, points)
@@ -167,9 +174,7 @@ def _around(lattice: Lattice, cells: Iterable[Cell], pad: int, digests: Mapping[
 def label_digests(
     plan: Plan, assembled: Assembled, filtered: Mapping[str, tuple[str, dict[str, Any]]]
 ) -> dict[Cell, str]:
-    """Bucket -> digest of its final labels (of its contents for `keep`)."""
-    if plan.config.method == KEEP:
-        return assembled.digests
+    """Bucket -> digest of its contents and of the labels that a pass gave it."""
     found: dict[Cell, str] = {}
     for tile, cells in tiles_of(plan, assembled.records).items():
         labels = filtered[f"t{tile.name}"][1]["labels"] if f"t{tile.name}" in filtered else "none"

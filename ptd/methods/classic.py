@@ -35,7 +35,6 @@ point keeps its height; a ring of virtual seeds around the data (001, step 5), n
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -51,7 +50,7 @@ from ptd.frame import Cells, Scale, Window
 from ptd.labelling import LOW_NOISE, Locator, LowNoise, label_points
 from ptd.outliers import low_outliers
 from ptd.params import check, parameter
-from ptd.passes import Int32, Method, State, UInt8
+from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.seeds import RING, box_with_ring, choose_seeds
 from ptd.tin.layout import N_TRIANGLES, N_VERTICES
 from ptd.tin.mesh import Tin
@@ -147,22 +146,18 @@ class Classic:
 
 
 @dataclass(frozen=True)
-class ClassicPass:
+class ClassicPass(Pass):
     """The one pass of `classic`: outliers, seeds, densification."""
 
     params: Classic
     name: str = "classic"
 
-    def fit(self, candidates: Int32, window: Window, scale: Scale, state: State) -> ClassicModel:
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> ClassicModel:
         """Densify the window's TIN."""
-        return ClassicModel(self.params, candidates, window, scale)
-
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """Nothing is run-wide."""
-        return dict(state)
+        return ClassicModel(self.params, points.xyz, window, scale)
 
 
-class ClassicModel:
+class ClassicModel(Model):
     """A window's finished TIN."""
 
     def __init__(self, params: Classic, candidates: Int32, window: Window, scale: Scale) -> None:
@@ -213,9 +208,9 @@ class ClassicModel:
         c = self.cells
         return cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, self._col0, self._row0, 1 << 31)
 
-    def label(self, xyz: Int32) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Labels and marks of points of the window."""
-        x, y, z = (np.ascontiguousarray(c) for c in xyz)
+        x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
         if self.tin is None:
             return np.ones(x.size, np.uint8), np.full(x.size, self._closed)
         only = not self.params.label_pass
@@ -226,10 +221,6 @@ class ClassicModel:
         if self.low.keys.size:
             labels[(labels != 2) & self.low.holds(self._keys(x, y), z)] = LOW_NOISE
         return labels, marked
-
-    def partial(self) -> dict[str, Any]:
-        """Nothing is run-wide."""
-        return {}
 
 
 def _margin_cells(params: Classic) -> int:

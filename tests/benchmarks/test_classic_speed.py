@@ -21,6 +21,7 @@ if __name__ == "__main__":
 
 from ptd.frame import Scale, Window
 from ptd.methods.classic import Classic, ClassicModel
+from ptd.passes import Points
 
 AUTZEN = Path(__file__).resolve().parents[3] / "shared" / "data" / "autzen" / "autzen_en.laz"
 FOOT = Fraction(3048, 10_000)
@@ -67,8 +68,12 @@ def in_frame(path: Path, xyz: np.ndarray) -> tuple[np.ndarray, Scale]:
 
 def fit_and_label(xyz: np.ndarray, scale: Scale, window: Window) -> tuple[ClassicModel, np.ndarray]:
     """The whole of the filter's work on a tile."""
-    model = Classic().passes[0].fit(xyz, window, scale, {})
-    return model, model.label(xyz)[0]
+    model = fitted(xyz, scale, window)
+    return model, model.label(Points(xyz))[0]
+
+
+def fitted(xyz: np.ndarray, scale: Scale, window: Window) -> ClassicModel:
+    return Classic().passes[0].fit(Points(xyz), window, window, scale, {})
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -109,7 +114,7 @@ def main(path: Path) -> None:
     for _ in range(RUNS):
         times["fit and label"].append(seconds(lambda: fit_and_label(xyz, scale, Window.everything())))
         times["with doubt"].append(seconds(lambda: fit_and_label(xyz, scale, side)))
-        times["fit"].append(seconds(lambda: Classic().passes[0].fit(xyz, Window.everything(), scale, {})))
+        times["fit"].append(seconds(lambda: fitted(xyz, scale, Window.everything())))
         times["decode"].append(seconds(lambda: read(path)))
     decode = median(times["decode"])
     for name, values in times.items():

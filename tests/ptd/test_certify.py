@@ -14,6 +14,7 @@ from ptd.certify import Doubt
 from ptd.criteria import across
 from ptd.frame import OPEN, Cells, Scale, Window
 from ptd.methods.classic import Classic
+from ptd.passes import Points
 from ptd.tin.mesh import Tin
 
 from .scenes import CM, SCENES, Cloud
@@ -52,7 +53,7 @@ def opened(cloud: Cloud, window: Window) -> Window:
 
 def run(params: Classic, cloud: Cloud, window: Window, scale: Scale = SCALE) -> tuple[np.ndarray, np.ndarray]:
     """Labels and marks."""
-    return params.passes[0].fit(cloud, window, scale, {}).label(cloud)
+    return params.passes[0].fit(Points(cloud), window, window, scale, {}).label(Points(cloud))
 
 
 def share_marked(params: Classic, cloud: Cloud, truth: np.ndarray, window: Window, core: Window) -> float:
@@ -188,8 +189,9 @@ def test_points_in_cells_that_the_window_cuts_are_marked() -> None:
 
 
 def test_a_window_without_candidates_knows_nothing() -> None:
-    model = DEFAULTS.passes[0].fit(np.zeros((3, 0), np.int32), Window(0, 0, 10, 10), SCALE, {})
-    labels, marked = model.label(np.array([[5], [5], [0]], np.int32))
+    window = Window(0, 0, 10, 10)
+    model = DEFAULTS.passes[0].fit(Points(np.zeros((3, 0), np.int32)), window, window, SCALE, {})
+    labels, marked = model.label(Points(np.array([[5], [5], [0]], np.int32)))
     assert labels.tolist() == [1]
     assert marked.tolist() == [True]
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from ptd.frame import OPEN, Scale, Window
 from ptd.methods.classic import Classic
+from ptd.passes import Points
 
 from .scenes import CM, SCENES, Cloud
 
@@ -23,7 +24,9 @@ SAMPLES = ("11", "12", "22", "24", "31", "42", "51", "53")
 
 
 def labels_of(cloud: Cloud, params: Classic = DEFAULTS, scale: Scale = SCALE) -> np.ndarray:
-    labels, marked = params.passes[0].fit(cloud, EVERYTHING, scale, {}).label(cloud)
+    labels, marked = (
+        params.passes[0].fit(Points(cloud), EVERYTHING, EVERYTHING, scale, {}).label(Points(cloud))
+    )
     assert not marked.any()
     return labels
 
@@ -115,8 +118,8 @@ def test_any_few_points_are_labelled(
 ) -> None:
     cloud = (np.array(points, np.int32).reshape(-1, 3).T * spacing).astype(np.int32)
     window = Window(0, 0, 9 * spacing + 1, OPEN) if closed else EVERYTHING
-    model = replace(DEFAULTS, thin_cell_m=thin).passes[0].fit(cloud, window, SCALE, {})
-    labels, marked = model.label(cloud)
+    model = replace(DEFAULTS, thin_cell_m=thin).passes[0].fit(Points(cloud), window, window, SCALE, {})
+    labels, marked = model.label(Points(cloud))
     assert set(labels.tolist()) <= {1, 2, 7}
     assert labels.size == marked.size == len(points)
 
@@ -173,8 +176,8 @@ def test_low_points_are_low_noise_and_draw_nothing_down() -> None:
 def test_without_the_last_pass_only_vertices_are_ground() -> None:
     cloud = counts(ground())
     params = Classic(label_pass=False)
-    model = params.passes[0].fit(cloud, EVERYTHING, SCALE, {})
-    got = model.label(cloud)[0] == 2
+    model = params.passes[0].fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {})
+    got = model.label(Points(cloud))[0] == 2
     vertices = {tuple(v) for v in model.tin.vertices.tolist()}  # type: ignore[union-attr]
     assert np.array_equal(got, [tuple(p) in vertices for p in cloud.T.tolist()])
     assert 0 < got.mean() < 0.9
@@ -183,7 +186,7 @@ def test_without_the_last_pass_only_vertices_are_ground() -> None:
 def test_figures_of_a_window() -> None:
     cloud = counts(ground())
     step = DEFAULTS.passes[0]
-    model = step.fit(cloud, EVERYTHING, SCALE, {})
+    model = step.fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {})
     assert set(model.stats) == {"candidates", "rounds", "low_outliers", "vertices"}
     assert 8_000 < model.stats["candidates"] < 10_300
     assert model.partial() == {}

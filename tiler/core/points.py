@@ -30,6 +30,8 @@ class PointBlock:
         Red, green, blue as the source gives them.
     origin : int64, shape (n,)
         ``source id << 40 | source row``: so that a classified file goes back in its input's own order.
+    labels : uint8, shape (n,)
+        Of a pass of the filter.
     """
 
     xyz: npt.NDArray[np.int32]
@@ -38,6 +40,7 @@ class PointBlock:
     returns: npt.NDArray[np.uint8] | None = None
     rgb: npt.NDArray[np.uint16] | None = None
     origin: npt.NDArray[np.int64] | None = None
+    labels: npt.NDArray[np.uint8] | None = None
 
     def __len__(self) -> int:
         return int(self.xyz.shape[1])

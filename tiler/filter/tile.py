@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import math
 from collections.abc import Iterable
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from ptd.frame import OPEN, Scale
 from ptd.frame import Window as Known
 from ptd.methods import METHODS
-from ptd.passes import Model
+from ptd.passes import Model, Pass, Points
 from tiler.core.classes import participates
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
@@ -48,7 +49,8 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     args : dict
         ``method``, ``parameters`` (JSON of the dataclass), ``pass`` (number), ``state`` (of the passes before);
         ``cells`` ([[ix, iy], ...], the buckets of the core); ``halo``, ``max_halo`` (counts); ``keep_classes``,
-        ``skip_flags``: see `tiler.core.classes.participates`.
+        ``skip_flags``: see `tiler.core.classes.participates`; ``labels_in``, ``labels_out``: names in the store of
+        the labels of the pass before and of this one, or None.
 
     Returns
     -------
@@ -67,26 +69,30 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
     margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(params.margin_m)))))
     halo, tries, area = int(args["halo"]), 0, 0
+    inner = _local(core, store)
     while True:
         tries += 1
         window = _aligned(core.pad(halo), align).pad(margin)
         area += window.area()
         known = _known(store, window, reach=math.ceil(REACH_CELLS * align.size))
-        candidates = _candidates(store, window, params.candidate_cell_m, args)
-        model = step.fit(candidates, known, scale, args["state"])
-        labels = {cell: _label(store, cell, model, args) for cell in cells}
+        points, inherited = _points(store, window, step, params.candidate_cell_m, args)
+        model = step.fit(points, known, inner, scale, args["state"])
+        labels = {cell: _label(store, cell, step, model, args) for cell in cells} if step.gives_labels else {}
         marked = sum(int(np.count_nonzero(found & MARK_BIT)) for found in labels.values())
         if marked == 0 or halo >= args["max_halo"]:
             break
         halo = min(2 * halo, int(args["max_halo"]))
-    if args["pass"] == len(params.passes) - 1:
-        for cell, found in labels.items():
-            store.write_labels(LABELS, cell, found)
-    counts = np.bincount(np.concatenate(list(labels.values())) & ~np.uint8(MARK_BIT), minlength=256)
+    if inherited:  # what a doubtful label of the pass before may have changed
+        labels = {cell: found | (found > 0) * np.uint8(MARK_BIT) for cell, found in labels.items()}
+        marked = sum(int(np.count_nonzero(found)) for found in labels.values())
+    for cell, found in labels.items():
+        store.write_labels(args["labels_out"], cell, found)
+    joined = np.concatenate(list(labels.values())) if labels else np.zeros(0, np.uint8)
+    counts = np.bincount(joined & ~np.uint8(MARK_BIT), minlength=256)
     return {
         "points": int(counts.sum()), "ground": int(counts[2]), "low_noise": int(counts[7]),
         "unclassified": int(counts[1]), "kept": int(counts[KEEP]), "marked": marked, "tries": tries, "halo": halo,
-        "window_points": int(candidates.shape[1]), "core_area": core.area(), "window_area": area,
+        "window_points": len(points), "core_area": core.area(), "window_area": area,
         "cells": args["cells"], "labels": _digest(labels.values()), "partial": model.partial(), "stats": model.stats,
     }  # fmt: skip
 
@@ -131,22 +137,49 @@ def _known(store: TileStore, window: Bounds, reach: int) -> Known:
     )  # fmt: skip
 
 
-def _candidates(
-    store: TileStore, window: Bounds, cell_m: float, args: dict[str, Any]
-) -> npt.NDArray[np.int32]:
-    """Points that can become vertices: the store's candidates where the method's cells are made of whole fine cells."""
+def _local(bounds: Bounds, store: TileStore) -> Known:
+    ox, oy = store.meta.frame.origin
+    return Known(bounds.x0 - ox, bounds.y0 - oy, bounds.x1 - ox, bounds.y1 - oy)
+
+
+def _points(
+    store: TileStore, window: Bounds, step: Pass, cell_m: float, args: dict[str, Any]
+) -> tuple[Points, bool]:
+    """What a pass looks at, and whether a label among it is marked.
+
+    Points that can become vertices: the store's candidates where the method's cells are made of whole fine cells.
+    """
     fine = store.meta.fine.size
     nested = cell_m > 0 and (store.meta.frame.counts(Fraction(repr(float(cell_m)))) / fine).denominator == 1
-    if nested:
-        return store.window(window, ("xyz",), candidates_only=True).xyz
-    block = store.window(window, ("xyz", "classification", "flags"), candidates_only=False)
-    return block.xyz[:, _taking_part(block, args)]
+    few = nested and not step.every_point
+    labels = args["labels_in"] if "labels" in step.columns else None
+    columns = _stored_columns(step)
+    if few:
+        block = store.window(window, columns, candidates_only=True, labels=labels)
+    else:
+        block = store.window(window, (*columns, "classification", "flags"), labels=labels)
+        block = block.take(_taking_part(block, args))
+    inherited = block.labels is not None and bool((block.labels >= MARK_BIT).any())
+    return _as_points(block), inherited
 
 
-def _label(store: TileStore, cell: Cell, model: Model, args: dict[str, Any]) -> npt.NDArray[np.uint8]:
+def _stored_columns(step: Pass) -> tuple[str, ...]:
+    return ("xyz", *(name for name in step.columns if name != "labels"))
+
+
+def _as_points(block: PointBlock) -> Points:
+    labels = None if block.labels is None else block.labels & ~np.uint8(MARK_BIT)
+    return Points(block.xyz, labels, block.rgb, block.returns)
+
+
+def _label(
+    store: TileStore, cell: Cell, step: Pass, model: Model, args: dict[str, Any]
+) -> npt.NDArray[np.uint8]:
     """Labels with marks of all points of a bucket, in its order."""
-    block = store.read_bucket(cell, ("xyz", "classification", "flags"))
-    labels, marked = model.label(block.xyz)
+    block = store.read_bucket(cell, (*_stored_columns(step), "classification", "flags"))
+    if "labels" in step.columns and args["labels_in"] is not None:
+        block = dataclasses.replace(block, labels=store.read_labels(args["labels_in"], cell))
+    labels, marked = model.label(_as_points(block))
     labels = labels | (marked.astype(np.uint8) * np.uint8(MARK_BIT))
     labels[~_taking_part(block, args)] = KEEP
     return labels

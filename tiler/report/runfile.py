@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from tiler.errors import ProcessingError
+from tiler.errors import ConfigError, ProcessingError
 
 
 def write_run_file(out: Path, content: dict[str, Any]) -> None:
@@ -24,3 +24,29 @@ def write_run_file(out: Path, content: dict[str, Any]) -> None:
         raise ProcessingError(
             f"{out}/run.json: cannot be written ({error.strerror}); see to space and rights"
         ) from error
+
+
+def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
+    """State after each pass of a run that was done in ``out`` with the same method.
+
+    Raises
+    ------
+    ConfigError
+        There is no such run, it was not finished, or its method or parameters are others.
+    """
+    try:
+        found = json.loads((out / "run.json").read_text(encoding="utf-8"))
+        before, statistics = found["plan"], found["statistics"]
+        same = (before["method"], before["parameters"]) == (method, parameters)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(
+            f"--statistics {out}: holds no run.json of a finished run; name an OUT folder"
+        ) from error
+    if found["state"] != "done":
+        raise ConfigError(f"--statistics {out}: that run is not finished; run it to its end first")
+    if not same:
+        raise ConfigError(
+            f"--statistics {out}: that run used {before['method']} with other parameters or another method; "
+            "use the same --method and --set"
+        )
+    return dict(statistics)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -90,7 +90,13 @@ class PointColumns:
             values[part] = source
         return values
 
-    def read(self, parts: Sequence[Part], fields: Sequence[str], keep: Keep | None = None) -> PointBlock:
+    def read(
+        self,
+        parts: Sequence[Part],
+        fields: Sequence[str],
+        keep: Keep | None = None,
+        labels: arrays.ZarrArray | None = None,
+    ) -> PointBlock:
         """The points of ``parts`` in order, those of each batch masked by ``keep``.
 
         Parameters
@@ -100,8 +106,11 @@ class PointColumns:
             Fields of `PointBlock`; xyz always comes along, rgb stays None where the store has none.
         keep : callable, optional
             Given a batch's xyz and its parts: the mask of the points to keep, None for all.
+        labels : zarr array, optional
+            Labels of a pass, to come along.
         """
         columns = self._needed(fields)
+        labelled: list[npt.NDArray[np.uint8]] = []
         gathered: dict[str, list[npt.NDArray[Any]]] = {c.name: [] for c in columns}
         for start in range(0, len(parts), _ROWS_AT_ONCE):
             batch = list(parts[start : start + _ROWS_AT_ONCE])
@@ -113,7 +122,13 @@ class PointColumns:
                     if mask is not None and not mask.any():
                         break
                 gathered[column.name].append(values if mask is None else values[:, mask])
-        return self._block(columns, gathered, fields)
+            if labels is not None and (mask is None or mask.any()):
+                found = read_rows(self._storage, labels, batch)[0]
+                labelled.append(found if mask is None else found[mask])
+        block = self._block(columns, gathered, fields)
+        if labels is None:
+            return block
+        return replace(block, labels=np.concatenate([np.zeros(0, np.uint8), *labelled]))
 
     def _needed(self, fields: Sequence[str]) -> list[Column]:
         known = {field for c in layout.COLUMNS for field in c.fields}

@@ -155,9 +155,13 @@ class TileStore:
         return {b.cell: b.info for b in self._current().published() if b.info is not None}
 
     def window(
-        self, bounds: Bounds, columns: Sequence[str] = ("xyz",), candidates_only: bool = False
+        self,
+        bounds: Bounds,
+        columns: Sequence[str] = ("xyz",),
+        candidates_only: bool = False,
+        labels: str | None = None,
     ) -> PointBlock:
-        """All points of ``bounds``, each once: the halo view.
+        """All points of ``bounds``, each once, with the labels of that name if one is given: the halo view.
 
         Buckets come row by row from the south-west, their points in stored order, whatever the bounds. Reads
         the buckets that overlap and no others; needs the memory of the result, of one of its columns once
@@ -169,7 +173,12 @@ class TileStore:
             for part in points.parts_of(bucket, _count(bucket, candidates_only))
         ]
         keep = points.inside(bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell))
-        return self._points.read(parts, columns, keep)
+        return self._points.read(parts, columns, keep, None if labels is None else self._label_array(labels))
+
+    def _label_array(self, name: str) -> arrays.ZarrArray:
+        if name not in self._labels:
+            self._labels[name] = arrays.open_array(self._storage, layout.labels_path(name), layout.LABELS)
+        return self._labels[name]
 
     def refresh(self) -> None:
         """Look for an index that another process published since this object first read it."""
@@ -210,9 +219,7 @@ class TileStore:
         parts = points.parts_of(bucket, _count(bucket, False))
         if not parts:
             return np.empty(0, dtype=np.uint8)
-        if name not in self._labels:
-            self._labels[name] = arrays.open_array(self._storage, layout.labels_path(name), layout.LABELS)
-        labels: npt.NDArray[np.uint8] = points.read_rows(self._storage, self._labels[name], parts)[0]
+        labels: npt.NDArray[np.uint8] = points.read_rows(self._storage, self._label_array(name), parts)[0]
         return labels
 
     # --- rasters

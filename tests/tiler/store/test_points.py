@@ -17,7 +17,7 @@ from tiler.errors import ConfigError, StoreError
 from tiler.store import BucketInfo, StoreMeta, TileStore, create_store, open_store
 from tiler.store.layout import ROW_POINTS
 
-FIELDS = tuple(f.name for f in fields(PointBlock))
+FIELDS = tuple(f.name for f in fields(PointBlock) if f.name != "labels")
 Points = Callable[..., PointBlock]
 Put = Callable[..., dict[Cell, BucketInfo]]
 
@@ -160,3 +160,23 @@ def test_a_bucket_that_nobody_allocated_or_published_is_refused(
     assert local_store.buckets() == {}
     with pytest.raises(StoreError, match="not published yet"):
         local_store.read_bucket(Cell(0, 0))
+
+
+def test_labels_come_along(filled: TileStore) -> None:
+    """Those of the same points, in a window and among candidates."""
+    rng = np.random.default_rng(5)
+    given = {}
+    for cell, info in filled.buckets().items():
+        given[cell] = rng.integers(0, 256, info.n).astype(np.uint8)
+        filled.write_labels("some", cell, given[cell])
+    everywhere = Bounds(-(10**9), -(10**9), 10**9, 10**9)
+    for candidates_only in (False, True):
+        found = filled.window(everywhere, ("origin",), candidates_only, labels="some")
+        expected = [
+            given[cell][: info.n_candidates if candidates_only else info.n]
+            for cell, info in sorted(filled.buckets().items(), key=lambda item: (item[0].iy, item[0].ix))
+        ]
+        assert found.labels is not None
+        assert np.array_equal(found.labels, np.concatenate(expected))
+        assert len(found) == found.labels.size
+    assert filled.window(Bounds(10**8, 0, 10**8 + 5, 5), labels="some").labels.size == 0  # type: ignore[union-attr]

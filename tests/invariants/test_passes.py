@@ -1,0 +1,171 @@
+"""A method of several passes: statistics of the whole run, labels of neighbours; the same for any tiles."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ptd.frame import Cells, Scale, Window
+from ptd.methods import METHODS
+from ptd.params import parameter
+from ptd.passes import Method, MethodRefusal, Model, Pass, Points, State
+from tests.invariants import clouds
+from tests.invariants.runs import computed, do, stored_labels
+from tests.ptd.tiling import inside
+from tiler.errors import ConfigError
+
+HIGH, LOW = 3, 4
+
+
+class Measured(Model):
+    def __init__(self, z: np.ndarray) -> None:
+        self.stats, self.z = {}, z.astype(np.int64)
+
+    def label(self, points: Points) -> Any:
+        raise NotImplementedError
+
+    def partial(self) -> dict[str, Any]:
+        return {"n": int(self.z.size), "sum": int(self.z.sum())}
+
+
+class MeanHeight(Pass):
+    name, every_point, gives_labels = "mean", True, False
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+        assert points.labels is None
+        return Measured(points.xyz[2, inside(points, core)])
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        found = list(partials)
+        n = sum(p["n"] for p in found)
+        if state["run"]["sigma_m"] == 9:
+            raise MethodRefusal("nine is too much")
+        return {**state, "mean": sum(p["sum"] for p in found) // n, "notes": [f"{n} points were seen"]}
+
+
+class Split(Model):
+    def __init__(self, mean: int) -> None:
+        self.stats, self.mean = {}, mean
+
+    def label(self, points: Points) -> Any:
+        return np.where(points.xyz[2] > self.mean, HIGH, LOW).astype(np.uint8), np.zeros(len(points), bool)
+
+
+class SplitByMean(Pass):
+    name = "split"
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+        return Split(state["mean"])
+
+
+class Lonely(Model):
+    """Ground is what is low in a cell of 8 m without a high point."""
+
+    def __init__(self, points: Points, scale: Scale) -> None:
+        assert points.labels is not None
+        self.cells, self.stats = Cells.of(8.0, scale), {}
+        high = points.labels == HIGH
+        self.taken = set(self.places(points.xyz[:, high]))
+
+    def places(self, xyz: np.ndarray) -> list[tuple[int, int]]:
+        return [(self.cells.column(int(x)), self.cells.row(int(y))) for x, y in xyz[:2].T]
+
+    def label(self, points: Points) -> Any:
+        assert points.labels is not None
+        alone = np.array([place not in self.taken for place in self.places(points.xyz)])
+        return np.where(alone & (points.labels == LOW), 2, 1).astype(np.uint8), np.zeros(len(points), bool)
+
+
+class LonelyLow(Pass):
+    name, columns, every_point = "lonely", ("labels",), True
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+        return Lonely(points, scale)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    unused_m: float = parameter(1.0, "nothing", unit="m", minimum=0.0, maximum=9.0)
+    halo_m = 8.0
+    align_m = 8.0
+    margin_m = 0.0
+    candidate_cell_m = 1.0
+
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        return (MeanHeight(), SplitByMean(), LonelyLow())
+
+
+@pytest.fixture(autouse=True)
+def lonely(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, "lonely", Method("lonely", "three passes", Parameters))
+    monkeypatch.setattr("tiler.plan.BUCKET_POINTS", 1000)
+
+
+def expected(cloud: clouds.Cloud) -> np.ndarray:
+    z = np.round(cloud.xyz[:, 2] * 1000).astype(np.int64)
+    high = z > int(z.sum()) // len(z)
+    corner = np.array(clouds.CORNER)
+    places = np.floor((np.round(cloud.xyz[:, :2], 3) + corner) / 8).astype(int)
+    taken = {tuple(p) for p in places[high]}
+    alone = np.array([tuple(p) not in taken for p in places])
+    return np.where(alone & ~high, 2, 1)
+
+
+def test_tiles_do_not_show(tmp_path: Path) -> None:
+    cloud = clouds.city(150.0)
+    path = clouds.write(tmp_path / "city.laz", cloud)
+    for name, tile in (("many", "32"), ("one", "512")):
+        result = do(path, tmp_path / name, "filter", method="lonely", tile_size=tile, halo="8")
+        labels, marks = stored_labels(tmp_path / name)
+        assert np.array_equal(labels, expected(cloud))
+        assert not marks.any()
+    assert result.summary["statistics"]["mean"]["notes"] == [f"{len(cloud)} points were seen"]
+
+
+def test_a_new_file_with_the_statistics_of_before_changes_only_its_surroundings(tmp_path: Path) -> None:
+    west, east = clouds.city(96.0), clouds.city(32.0, seed=2)
+    clouds.write(tmp_path / "in" / "west.laz", west)
+    how: dict[str, Any] = {"method": "lonely", "tile_size": "32", "halo": "8"}
+    first = do(tmp_path / "in", tmp_path / "out", "filter", **how)
+    clouds.write(tmp_path / "in" / "east.laz", clouds.Cloud(east.xyz + [320.0, 0, 500.0], east.truth))
+    again = do(tmp_path / "in", tmp_path / "out", "filter", statistics=str(tmp_path / "out"), **how)
+    assert again.summary["statistics"] == first.summary["statistics"]
+    assert computed(again)["filter1"] < computed(first)["filter1"] / 2
+    whole = do(tmp_path / "in", tmp_path / "out", "filter", **how)
+    assert whole.summary["statistics"]["mean"]["mean"] > first.summary["statistics"]["mean"]["mean"]
+    assert computed(whole)["filter1"] > computed(first)["filter1"]
+
+
+def test_statistics_of_another_run_are_refused(tmp_path: Path) -> None:
+    path = clouds.write(tmp_path / "city.laz", clouds.city(64.0))
+    do(path, tmp_path / "out", "filter", method="lonely")
+    with pytest.raises(ConfigError, match="other parameters"):
+        do(path, tmp_path / "other", statistics=str(tmp_path / "out"))
+    with pytest.raises(ConfigError, match=r"no run\.json"):
+        do(path, tmp_path / "other", method="lonely", statistics=str(tmp_path))
+    text = (tmp_path / "out" / "run.json").read_text()
+    (tmp_path / "out" / "run.json").write_text(json.dumps({**json.loads(text), "state": "running"}))
+    with pytest.raises(ConfigError, match="not finished"):
+        do(path, tmp_path / "other", method="lonely", statistics=str(tmp_path / "out"))
+
+
+def test_a_refusal_is_one_line(tmp_path: Path) -> None:
+    path = clouds.write(tmp_path / "city.laz", clouds.city(64.0))
+    with pytest.raises(ConfigError, match="^--method lonely: nine is too much$"):
+        do(path, tmp_path / "out", method="lonely", sigma="9")
+
+
+def test_colours_that_a_method_needs_are_asked_for_in_the_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(METHODS, "lonely", Method("lonely", "three passes", Parameters, needs=("rgb",)))
+    path = clouds.write(tmp_path / "city.laz", clouds.city(64.0))
+    with pytest.raises(ConfigError, match="needs colours"):
+        do(path, tmp_path / "out", method="lonely")

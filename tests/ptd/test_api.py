@@ -1,0 +1,83 @@
+"""The one-tile wrapper: columns reach the passes, and what does not fit is refused in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ptd
+from ptd.frame import Scale, Window
+from ptd.methods import METHODS
+from ptd.passes import Method, Model, Pass, Points, State
+
+N = 50
+XYZ = np.random.default_rng(1).random((N, 3)) * 30
+RGB = np.random.default_rng(2).integers(0, 65536, (N, 3))
+RETURNS = np.random.default_rng(3).integers(1, 6, (N, 2))
+
+
+class Echo(Model):
+    def __init__(self, points: Points, name: str) -> None:
+        self.stats, self.name = {"given": len(points)}, name
+
+    def label(self, points: Points) -> Any:
+        if self.name == "first":
+            assert points.rgb is not None
+            assert points.labels is None
+            return (points.rgb[0] % 100).astype(np.uint8), np.zeros(len(points), bool)
+        assert points.labels is not None
+        assert points.returns is not None
+        assert points.rgb is None
+        return points.labels + points.returns[1], np.zeros(len(points), bool)
+
+    def partial(self) -> dict[str, Any]:
+        return {"n": self.stats["given"]}
+
+
+class First(Pass):
+    name, columns = "first", ("rgb",)
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+        return Echo(points, self.name)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        return {**state, "n": sum(p["n"] for p in partials)}
+
+
+class Second(First):
+    name, columns = "second", ("labels", "returns")
+
+
+@dataclass(frozen=True)
+class Parameters:
+    passes = (First(), Second())
+
+
+@pytest.fixture(autouse=True)
+def echo(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, "echo", Method("echo", "two passes", Parameters, needs=("rgb",)))
+
+
+def test_columns_and_labels_go_from_pass_to_pass() -> None:
+    result = ptd.classify(XYZ, "echo", rgb=RGB, returns=RETURNS, sigma=0.05)
+    assert np.array_equal(result.classification, RGB[:, 0] % 100 + RETURNS[:, 1])
+    assert result.decisions["statistics"] == {"run": {"rgb": True, "sigma_m": 0.05}, "n": N}
+    assert result.stats == {"first": {"given": N}, "second": {"given": N}}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "^method echo needs rgb$"),
+        ({"rgb": RGB[1:]}, r"^rgb has shape \(49, 3\), must be \(50, 3\), a row for each point$"),
+        ({"rgb": RGB, "returns": RGB}, r"^returns has shape \(50, 3\), must be \(50, 2\)"),
+        ({"rgb": RGB, "params": 3}, "^params is int, method echo takes Parameters$"),
+    ],
+)
+def test_what_does_not_fit_is_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ptd.classify(XYZ, "echo", **arguments)

@@ -1,0 +1,101 @@
+"""A method over tiles without a store: what `tiler.filter` does, in memory, to compare with the one-tile run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from ptd.cells import lowest_per_cell
+from ptd.frame import OPEN, Cells, Scale, Window
+from ptd.passes import Points, RunFacts
+
+
+def part(points: Points, index: Any) -> Points:
+    """The points of an index, in that order."""
+    columns = {name: getattr(points, name) for name in ("labels", "rgb", "returns")}
+    taken = {name: None if c is None else c[..., index] for name, c in columns.items()}
+    return Points(np.ascontiguousarray(points.xyz[:, index]), **taken)
+
+
+def inside(points: Points, window: Window) -> np.ndarray:
+    x, y = points.xyz[0], points.xyz[1]
+    return (x >= window.west) & (x < window.east) & (y >= window.south) & (y < window.north)
+
+
+def _given(points: Points, step: Any, labels: np.ndarray) -> Points:
+    columns = {n: getattr(points, n) if n in step.columns else None for n in ("rgb", "returns")}
+    return Points(points.xyz, labels if "labels" in step.columns else None, **columns)
+
+
+def classify_tiled(
+    points: Points,
+    scale: Scale,
+    params: Any,
+    tile_m: float | None,
+    halo_m: float = 0.0,
+    sigma_m: float | None = None,
+) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+    """Labels, marks and the last state; ``tile_m`` None: the cloud as one window with nothing beyond it.
+
+    Windows are core and halo, widened to whole cells of `align_m`, and by `margin_m`; their sides are open where the
+    cloud ends. As in `tiler.filter`, a pass sees one candidate per `candidate_cell_m` unless it wants every point, and
+    a marked label in the window of a pass that reads labels marks the whole core.
+    """
+    n = len(points)
+    labels, marks = np.zeros(n, np.uint8), np.zeros(n, bool)
+    state: dict[str, Any] = {"run": asdict(RunFacts(points.rgb is not None, sigma_m))}
+    for step in params.passes:
+        given = _given(points, step, labels)
+        found, doubtful = np.zeros(n, np.uint8), np.zeros(n, bool)
+        partials = []
+        for core, window in _windows(points, scale, params, tile_m, halo_m):
+            seen = np.flatnonzero(inside(points, window))
+            own = np.flatnonzero(inside(points, core))
+            if not own.size:
+                continue
+            if params.candidate_cell_m and not step.every_point:
+                x, y, z = (np.ascontiguousarray(c) for c in points.xyz[:, seen])
+                seen = seen[lowest_per_cell(x, y, z, Cells.of(params.candidate_cell_m, scale))]
+            model = step.fit(part(given, seen), window, core, scale, state)
+            partials.append(model.partial())
+            if step.gives_labels:
+                found[own], doubtful[own] = model.label(part(given, own))
+                doubtful[own] |= "labels" in step.columns and bool(marks[seen].any())
+        if step.gives_labels:
+            labels, marks = found, doubtful
+        state = step.reduce(partials, state)
+    return labels, marks, state
+
+
+def _windows(
+    points: Points, scale: Scale, params: Any, tile_m: float | None, halo_m: float
+) -> list[tuple[Window, Window]]:
+    """Core and window of each tile."""
+    everything = Window.everything()
+    if tile_m is None:
+        return [(everything, everything)]
+    tiles, align = Cells.of(tile_m, scale), Cells.of(params.align_m, scale)
+    halo, margin = math.ceil(scale.counts(halo_m)), math.ceil(scale.counts(params.margin_m))
+    (x0, y0), (x1, y1) = points.xyz[:2].min(axis=1), points.xyz[:2].max(axis=1)
+    found = []
+    for row in range(tiles.row(int(y0)), tiles.row(int(y1)) + 1):
+        for column in range(tiles.column(int(x0)), tiles.column(int(x1)) + 1):
+            core = Window(tiles.west(column), tiles.south(row), tiles.west(column + 1), tiles.south(row + 1))
+            window = Window(
+                align.west(align.column(core.west - halo)) - margin,
+                align.south(align.row(core.south - halo)) - margin,
+                align.west(align.column(core.east + halo - 1) + 1) + margin,
+                align.south(align.row(core.north + halo - 1) + 1) + margin,
+            )
+            opened = replace(
+                window,
+                west=-OPEN if window.west < x0 else window.west,
+                south=-OPEN if window.south < y0 else window.south,
+                east=OPEN if window.east > x1 else window.east,
+                north=OPEN if window.north > y1 else window.north,
+            )
+            found.append((core, opened))
+    return found
