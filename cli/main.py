@@ -26,7 +26,7 @@ COMMANDS = {
     "classify": "One file to one classified file, with no store left behind.",
     "info": "What a cloud, a store, a result folder or a raster holds.",
     "methods": "The ground filters and their parameters.",
-    "evaluate": "Score a cloud's classes against a reference.",
+    "evaluate": "Score classes against references, or a DTM against a true one.",
     "config": "The effective settings, or a commented file to start from.",
     "demo": "Simulate a small city, run the whole job on it, score it.",
 }

@@ -72,7 +72,7 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
     Parameters
     ----------
     classes : mapping
-        As `tiler.evaluate.scores` gives them.
+        As `tiler.evaluate.scores` gives them; what `tiler.evaluate.evaluate_scenes` adds is told as well.
     dtm : mapping, optional
         As `tiler.evaluate.evaluate_dtm` gives them, in metres.
     """
@@ -83,14 +83,33 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
         f"total   {percent_text(classes['total'])}  of {classes['points']:,} points, kappa {kappa}",
     ]
     if classes["ignored"]:
-        lines.append(f"ignored {classes['ignored']:,} points of the classes left out")
+        each = ", ".join(f"{code}: {n:,}" for code, n in classes.get("left_out", {}).items())
+        of = f" (class {each})" if each else ""
+        lines.append(f"ignored {classes['ignored']:,} points of the classes left out{of}")
+    if classes.get("withheld"):
+        lines.append(f"ignored {classes['withheld']:,} points that the reference withholds")
     unmatched = classes.get("unmatched_reference", 0), classes.get("unmatched_cloud", 0)
     if any(unmatched):
         lines.append(
             f"without a partner: {unmatched[0]:,} points of the reference, {unmatched[1]:,} of the cloud"
         )
-    if dtm is not None and dtm["rmse"] is not None:
-        lines.append(
-            f"DTM     RMSE {dtm['rmse']:.3f} m, bias {dtm['bias']:+.3f} m over {dtm['pixels']:,} pixels"
-        )
+    if dtm is not None:
+        lines.extend(dtm_lines(dtm))
     return lines
+
+
+def dtm_lines(dtm: Mapping[str, Any], unit: str = "m") -> list[str]:
+    """Differences of a DTM from its truth, as `tiler.evaluate.evaluate_dtm` gives them."""
+    if dtm["rmse"] is None:
+        return ["DTM     no pixel has both heights"]
+    first = (
+        f"DTM     RMSE {dtm['rmse']:.3f} {unit}, bias {dtm['bias']:+.3f} {unit} over {dtm['pixels']:,} pixels"
+    )
+    if "nmad" not in dtm:
+        return [first]
+    robust = f"median {dtm['median']:+.3f} {unit}, NMAD {dtm['nmad']:.3f} {unit}"
+    return [
+        first,
+        f"        {robust}, 95 % within {dtm['p95_abs']:.3f} {unit}",
+        f"        {percent_text(dtm['coverage'])} of the true pixels covered, {dtm['only_truth']:,} are not",
+    ]

@@ -61,7 +61,8 @@ class RunConfig:
                                                                "default: everything",
                                                                kind="bounds")  # fmt: skip
     keep_classes: tuple[int, ...] = setting((7, 9, 17, 18), "classes that take no part in filtering and are "
-                                            "never overwritten", kind="classes")  # fmt: skip
+                                            "never overwritten; `none`: the filter sees no class of the input, as a "
+                                            "fair test on labelled clouds needs", kind="classes")  # fmt: skip
     skip_synthetic: bool = setting(False, "synthetic points take no part in filtering", kind="flag")
     skip_overlap: bool = setting(False, "overlap points take no part in filtering", kind="flag")
     sigma: Fraction | None = setting(None, "noise of heights, for methods that need it; default: estimated from planar "
@@ -131,7 +132,9 @@ def parse_bytes(text: str | int) -> int:
 
 
 def parse_classes(text: str | int | list[int] | tuple[int, ...]) -> tuple[int, ...]:
-    """ASPRS classes: ``7,18``; an empty text is no class; raises ConfigError."""
+    """ASPRS classes: ``7,18``; ``none`` or an empty text is no class; raises ConfigError."""
+    if text == "none":
+        return ()
     parts = [p for p in text.split(",") if p.strip()] if isinstance(text, str) else text
     try:
         classes = tuple(sorted({int(p) for p in ([parts] if isinstance(parts, int) else parts)}))

@@ -7,15 +7,12 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tiler.config import RunConfig
-from tiler.evaluate import evaluate_dtm, evaluate_files, scores
+from tiler.evaluate import Scene, evaluate_dtm, evaluate_scenes
 from tiler.observe.events import Listener
 from tiler.pipeline import run
 from tiler.simulate import DemoScene, demo_city
 
-COUNTS = ("ground_kept", "ground_lost", "object_taken", "object_kept", "ignored")
 RESOLUTION_M = Fraction(1)
 """Of the true terrain, with which the DTM is compared pixel by pixel."""
 
@@ -31,7 +28,7 @@ class DemoResult:
     summary : dict
         Of the run.
     classes, dtm : dict
-        As `tiler.evaluate.scores` and `tiler.evaluate.evaluate_dtm` give them.
+        As `tiler.evaluate.evaluate_scenes` and `tiler.evaluate.evaluate_dtm` give them.
     exit_code : int
         Of the run.
     """
@@ -81,9 +78,8 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
 
 
 def _score_classes(out: Path, scene: DemoScene) -> dict[str, Any]:
-    """The errors over all clouds together."""
-    total = np.zeros(len(COUNTS), np.int64)
-    for path, truth in zip(scene.paths, scene.truth_paths, strict=True):
-        found = evaluate_files(out / "classified" / path.name, truth)
-        total += [found[name] for name in COUNTS]
-    return scores(total)
+    """The errors over all clouds together, and of each."""
+    return evaluate_scenes([
+        Scene(path.stem, out / "classified" / path.name, truth)
+        for path, truth in zip(scene.paths, scene.truth_paths, strict=True)
+    ])  # fmt: skip

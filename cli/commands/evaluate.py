@@ -2,39 +2,132 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
 import click
 
-from cli.options import json_option
-from cli.output import print_json
-from cli.session import TilerCommand
-from cli.summary import score_lines
+from cli.options import config_options, json_option, read_config
+from cli.output import print_json, print_table
+from cli.session import TilerCommand, current_session
+from cli.summary import dtm_lines, percent_text, score_lines
 from tiler.config import parse_classes
+from tiler.core.units import parse_length
+from tiler.errors import ConfigError
+from tiler.observe.events import Listener
+
+SETTINGS = ("method", "parameters", "units", "tile_size", "halo", "memory", "workers")
 
 
 @click.command("evaluate", cls=TilerCommand)
-@click.argument("cloud", metavar="CLOUD", type=click.Path())
+@click.argument("clouds", metavar="[CLOUD]...", nargs=-1, type=click.Path())
 @click.option(
-    "--reference", required=True, metavar="REF", type=click.Path(),
-    help="cloud of the same points with the true classes",
+    "--reference", "references", multiple=True, metavar="REF", type=click.Path(),
+    help="cloud, folder or glob with the true classes of the same points; repeatable [default: CLOUD itself, which "
+         "--method then filters]",
 )  # fmt: skip
 @click.option(
     "--ignore",
     metavar="N,N,...",
-    help="true classes that do not count [default: 7,9,17,18,26,64,65,66,67: noise, water, bridges, virtual points]",
+    help="true classes that do not count, or `none` [default: 7,9,17,18,26,64,65,66,67: noise, water, bridges, "
+    "virtual points]",
 )
+@click.option("--maps", type=click.Path(path_type=Path), metavar="FOLDER",
+              help="write a map of the errors of each cloud as GeoTIFF and PNG [default: none]")  # fmt: skip
+@click.option("--map-cell", default="1", metavar="LENGTH",
+              help="side of the maps' cells [unit: m; default: 1]")  # fmt: skip
+@click.option("--dtm", type=click.Path(), metavar="DTM", help="raster to be judged [default: none]")
+@click.option("--true-dtm", type=click.Path(), metavar="RASTER",
+              help="true heights on the same pixels [default: none]")  # fmt: skip
+@click.option("--difference", type=click.Path(path_type=Path), metavar="FILE.tif",
+              help="write DTM minus true DTM [default: none]")  # fmt: skip
+@config_options(only=SETTINGS)
 @json_option
-def command(cloud: str, reference: str, ignore: str | None, as_json: bool) -> None:
-    """Score a cloud's classes against a reference.
+def command(
+    clouds: tuple[str, ...],
+    references: tuple[str, ...],
+    ignore: str | None,
+    maps: Path | None,
+    map_cell: str,
+    dtm: str | None,
+    true_dtm: str | None,
+    difference: Path | None,
+    as_json: bool,
+    **settings: Any,
+) -> None:
+    """Score classes against references, or a DTM against a true one.
 
     Class 2 is ground, every other class is not. Type I: ground that was lost; type II: objects that were taken
-    for ground; total: both, of all points; kappa: Cohen's.
+    for ground; total: both, of all points; kappa: Cohen's. With --method the CLOUDs are labelled ones: each is
+    filtered, without its classes, and scored against itself. Several clouds and references are paired by their
+    names, or by their order where as many files of both are named.
     """
-    ignored = None if ignore is None else parse_classes(ignore)
-    from tiler.evaluate import IGNORED, evaluate_files
+    if (dtm is None) != (true_dtm is None):
+        raise click.UsageError("--dtm and --true-dtm belong together")
+    if not clouds and dtm is None:
+        raise click.UsageError("nothing to evaluate; name CLOUD, or --dtm and --true-dtm")
+    if difference is not None and dtm is None:
+        raise click.UsageError("--difference needs --dtm and --true-dtm")
+    filters = settings["method"] is not None
+    if clouds and filters == bool(references):
+        raise click.UsageError("name either --reference REF, or --method NAME to filter labelled clouds")
+    from tiler.evaluate import IGNORED, evaluate_dtm
+    from tiler.observe.progress import open_progress
 
-    facts = evaluate_files(cloud, reference, IGNORED if ignored is None else ignored)
+    ignored = IGNORED if ignore is None else parse_classes(ignore)
+    facts: dict[str, Any] = {}
+    with open_progress(sys.stderr, current_session().quiet) as listener:
+        if clouds:
+            facts = _score(clouds, references, settings, ignored, maps, map_cell, listener)
+    if dtm is not None and true_dtm is not None:
+        facts["dtm"] = evaluate_dtm(dtm, true_dtm, difference)
     if as_json:
         print_json(facts)
-    else:
-        for line in score_lines(facts):
+        return
+    if clouds:
+        _print_scores(facts)
+    if dtm is not None:
+        for line in dtm_lines(facts["dtm"], unit=""):
             click.echo(line)
+
+
+def _score(
+    clouds: Sequence[str],
+    references: Sequence[str],
+    settings: dict[str, Any],
+    ignored: Sequence[int],
+    maps: Path | None,
+    map_cell: str,
+    listener: Listener,
+) -> dict[str, Any]:
+    from tiler.evaluate import MapRequest, evaluate_scenes, filter_and_evaluate, find_scenes
+
+    cell = parse_length(map_cell)
+    if cell <= 0:
+        raise ConfigError(f"--map-cell {map_cell}: must be above 0")
+    request = None if maps is None else MapRequest(maps, cell)
+    if references:
+        return evaluate_scenes(find_scenes(clouds, references), ignored, request, listener)
+    return filter_and_evaluate(clouds, read_config(settings), ignored, request, listener)
+
+
+def _print_scores(facts: Mapping[str, Any]) -> None:
+    """The scores of all points, by class, and of each scene where there are several."""
+    for line in score_lines(facts):
+        click.echo(line)
+    rows = [
+        (code, f"{c['points']:,}", f"{c['labelled_ground']:,}", percent_text(c["error"]))
+        for code, c in facts["classes"].items()
+    ]
+    print_table("by true class", ("class", "points", "labelled ground", "error"), rows)
+    scenes = facts["scenes"]
+    if len(scenes) > 1:
+        names = ("type_1", "type_2", "total", "kappa", "f1")
+        lines = [(s["name"], f"{s['points']:,}", *(percent_text(s[n]) for n in names)) for s in scenes]
+        lines.append(("mean", "", *(percent_text(facts["mean"][n]) for n in names)))
+        columns = ("scene", "points", "type I", "type II", "total", "kappa", "F1")
+        print_table("by scene", columns, lines)
+    for path in (path for scene in scenes for path in scene["maps"]):
+        click.echo(f"map     {path}")

@@ -176,22 +176,69 @@ def test_scores() -> None:
     ]
 
 
-def test_evaluate_asks_with_the_ignored_classes(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    seen: list[Any] = []
+@pytest.fixture
+def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What is asked of `tiler.evaluate`, which is replaced."""
+    seen: list[tuple[Any, ...]] = []
 
-    def evaluate_files(*arguments: Any) -> dict[str, Any]:
+    def answer(*arguments: Any) -> dict[str, Any]:
         seen.append(arguments)
-        return SCORES
+        return {**SCORES, "classes": {"6": {"points": 10, "labelled_ground": 1, "error": 0.1}}, "scenes": []}
 
-    monkeypatch.setattr("tiler.evaluate.evaluate_files", evaluate_files)
+    monkeypatch.setattr("tiler.evaluate.find_scenes", lambda clouds, references: [*clouds, *references])
+    monkeypatch.setattr("tiler.evaluate.evaluate_scenes", answer)
+    monkeypatch.setattr("tiler.evaluate.filter_and_evaluate", answer)
+    monkeypatch.setattr("tiler.evaluate.evaluate_dtm", lambda *arguments: {"rmse": None})
+    return seen
+
+
+def test_evaluate_asks_with_the_ignored_classes(
+    evaluations: list[tuple[Any, ...]], capsys: pytest.CaptureFixture[str]
+) -> None:
     from tiler.evaluate import IGNORED
 
     assert main(["evaluate", "a.laz", "--reference", "b.laz", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == SCORES
-    assert main(["evaluate", "a.laz", "--reference", "b.laz", "--ignore", "9,7"]) == 0
-    assert seen == [("a.laz", "b.laz", IGNORED), ("a.laz", "b.laz", (7, 9))]
+    assert json.loads(capsys.readouterr().out)["type_1"] == SCORES["type_1"]
+    for text in ("9,7", "none"):
+        assert main(["evaluate", "a.laz", "--reference", "b.laz", "--ignore", text]) == 0
+    assert [call[:2] for call in evaluations] == [
+        (["a.laz", "b.laz"], ignored) for ignored in (IGNORED, (7, 9), ())
+    ]
+
+
+def test_evaluate_filters_labelled_clouds(
+    evaluations: list[tuple[Any, ...]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", "a.laz", "b.laz", "--method", "classic", "--set", "rounds=3"]) == 0
+    clouds, config, *_ = evaluations[0]
+    assert (clouds, config) == (("a.laz", "b.laz"), RunConfig(parameters=(("rounds", "3"),)))
+    assert capsys.readouterr().out.splitlines()[-2:] == [
+        "  class  points  labelled ground  error",
+        "  6      10      1                10.00 %",
+    ]
+
+
+def test_evaluate_of_a_dtm_alone(evaluations: object, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "--dtm", "a.tif", "--true-dtm", "b.tif", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"dtm": {"rmse": None}}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "nothing to evaluate"),
+        (["a.laz"], "name either --reference REF, or --method NAME"),
+        (["a.laz", "--reference", "b.laz", "--method", "classic"], "name either --reference REF"),
+        (["--dtm", "a.tif"], "--dtm and --true-dtm belong together"),
+        (["a.laz", "--reference", "b", "--difference", "d.tif"], "--difference needs --dtm"),
+        (["a.laz", "--reference", "b", "--map-cell", "0"], "must be above 0"),
+    ],
+)
+def test_evaluate_refuses(
+    arguments: list[str], message: str, evaluations: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", *arguments]) == 2
+    assert message in capsys.readouterr().err
 
 
 def test_the_help_of_evaluate_names_the_classes_that_the_library_ignores() -> None:

@@ -1,0 +1,133 @@
+"""What is counted of labels, and the scores that follow from it.
+
+As Sithole and Vosselman define it (2004, Experimental comparison of filter algorithms for bare-Earth
+extraction from airborne laser scanning point clouds, ISPRS J. 59), with ``a`` ground kept, ``b`` ground lost,
+``c`` object taken for ground, ``d`` object kept out: type I = b / (a + b), type II = c / (c + d), and
+total = (b + c) / n.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.classes import GROUND
+from tiler.errors import InputError
+
+IGNORED = (7, 9, 17, 18, 26, 64, 65, 66, 67)
+"""Reference classes that are neither: noise, water, bridges, the producers' virtual points and artefacts."""
+
+COUNTS = ("ground_kept", "ground_lost", "object_taken", "object_kept", "ignored")
+ERRORS = ("type_1", "type_2", "total", "kappa", "f1")
+
+UInt8s = npt.NDArray[np.uint8]
+Int64s = npt.NDArray[np.int64]
+
+
+def class_table(labels: UInt8s, reference: UInt8s) -> Int64s:
+    """Count points by true class and by what they were labelled.
+
+    Parameters
+    ----------
+    labels, reference : uint8, shape (n,)
+        ASPRS classes of the same points: to be judged, and true.
+
+    Returns
+    -------
+    int64, shape (256, 2)
+        For each true class, how many are not labelled ground, and how many are.
+    """
+    if labels.shape != reference.shape:
+        raise InputError(f"{labels.size} labels against {reference.size} true ones; compare the same points")
+    key = 2 * reference.astype(np.intp) + (labels == GROUND)
+    return np.bincount(key, minlength=512).reshape(256, 2).astype(np.int64)
+
+
+def counts_of(table: Int64s, ignore: Sequence[int] = IGNORED) -> Int64s:
+    """a, b, c, d as in the module's text and how many were left out, int64 [5], from a `class_table`."""
+    left_out = np.zeros(256, np.bool_)
+    left_out[list(ignore)] = True
+    ground, objects = np.zeros(2, np.int64), table[~left_out].sum(axis=0)
+    if not left_out[GROUND]:
+        ground = table[GROUND]
+        objects = objects - ground
+    return np.array([ground[1], ground[0], objects[1], objects[0], table[left_out].sum()], np.int64)
+
+
+def confusion(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> Int64s:
+    """Count the pairs of labels: `counts_of` their `class_table`.
+
+    Parameters
+    ----------
+    labels, reference : uint8, shape (n,)
+        ASPRS classes of the same points: to be judged, and true.
+    ignore : sequence of int
+        Reference classes that are left out.
+    """
+    return counts_of(class_table(labels, reference), ignore)
+
+
+def scores(counts: Int64s) -> dict[str, Any]:
+    """Errors and agreement from the five counts of `confusion`.
+
+    Returns
+    -------
+    dict
+        ``points`` and ``ignored``; ``ground_kept``, ``ground_lost``, ``object_taken``, ``object_kept``; as
+        fractions ``type_1``, ``type_2``, ``total``, ``kappa`` (Cohen), ``f1`` (of ground), None where there
+        is nothing to divide by.
+    """
+    a, b, c, d, ignored = (int(n) for n in counts)
+    n = a + b + c + d
+    chance = (a + b) * (a + c) + (c + d) * (b + d)
+    return {
+        "points": n, "ignored": ignored,
+        "ground_kept": a, "ground_lost": b, "object_taken": c, "object_kept": d,
+        "type_1": _ratio(b, a + b), "type_2": _ratio(c, c + d), "total": _ratio(b + c, n),
+        "kappa": _ratio((a + d) * n - chance, n * n - chance), "f1": _ratio(2 * a, 2 * a + b + c),
+    }  # fmt: skip
+
+
+def _ratio(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
+
+
+def evaluate_labels(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> dict[str, Any]:
+    """Return `scores` of two label arrays, see `confusion`."""
+    return scores(confusion(labels, reference, ignore))
+
+
+def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, dict[str, Any]]:
+    """What became of each true class of a `class_table`.
+
+    Returns
+    -------
+    dict
+        By class, as text: ``points``; ``labelled_ground``; ``wrong`` and ``error`` (fraction), None for a class that is
+        left out.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for code in np.flatnonzero(table.sum(axis=1)).tolist():
+        other, ground = (int(n) for n in table[code])
+        wrong = other if code == GROUND else ground
+        judged = code not in ignore
+        found[str(code)] = {
+            "points": other + ground,
+            "labelled_ground": ground,
+            "wrong": wrong if judged else None,
+            "error": wrong / (other + ground) if judged else None,
+        }
+    return found
+
+
+def mean_scores(scenes: Iterable[Mapping[str, Any]]) -> dict[str, float | None]:
+    """Means of the errors over scenes, each of the same weight; None where no scene has one."""
+    scenes = list(scenes)
+    means: dict[str, float | None] = {}
+    for name in ERRORS:
+        values = [scene[name] for scene in scenes if scene[name] is not None]
+        means[name] = sum(values) / len(values) if values else None
+    return means

@@ -1,0 +1,211 @@
+"""Many clouds at once: which reference belongs to which, each scene's scores, all together, and their means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from tiler.config import RunConfig
+from tiler.core.units import METRE
+from tiler.errors import ConfigError
+from tiler.evaluate.clouds import Findings, compare_files
+from tiler.evaluate.labels import IGNORED, mean_scores
+from tiler.evaluate.maps import ErrorGrid, write_error_map
+from tiler.observe.events import Listener, silent
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A cloud and the cloud with its true classes.
+
+    Attributes
+    ----------
+    name : str
+    cloud, reference : Path
+    """
+
+    name: str
+    cloud: Path
+    reference: Path
+
+
+@dataclass(frozen=True)
+class MapRequest:
+    """Where error maps go.
+
+    Attributes
+    ----------
+    folder : Path
+    cell_m : Fraction
+        Side of a cell, metres.
+    """
+
+    folder: Path
+    cell_m: Fraction = Fraction(1)
+
+
+def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) -> list[Scene]:
+    """Say which reference belongs to which cloud.
+
+    Parameters
+    ----------
+    clouds, references : sequence of path
+        Files, folders, globs. One cloud has all the references. Files named one by one, as many clouds as
+        references, are paired in their order; else each reference belongs to the cloud of the same name (without
+        its suffix), of several to the one at the same place below its folder.
+
+    Raises
+    ------
+    ConfigError
+        Nothing is there, or a reference has no cloud, or several.
+    """
+    mine, true = _expanded(clouds), _expanded(references)
+    if len(mine) == 1:
+        return _named([(mine[0][0], path) for path, _ in true])
+    one_by_one = len(mine) == len(clouds) and len(true) == len(references)
+    if one_by_one and len(mine) == len(true):
+        return _named([(a[0], b[0]) for a, b in zip(mine, true, strict=True)])
+    pairs = []
+    for path, place in true:
+        same_name = [m for m in mine if m[0].stem == path.stem]
+        found = [m for m in same_name if m[1] == place] if len(same_name) > 1 else same_name
+        if len(found) != 1:
+            raise ConfigError(
+                f"{path}: {len(found) or 'none'} of the {len(mine)} clouds {'is' if not found else 'are'} named "
+                f"{path.stem}; name clouds and references alike, or in the same order"
+            )
+        pairs.append((found[0][0], path))
+    return _named(pairs)
+
+
+def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
+    """Files, with their place below the folder that was named (without suffix), in the order of `paths`."""
+    from tiler.ingest import find_inputs
+
+    found: dict[Path, str] = {}
+    for text in paths:
+        for path in find_inputs([text]):
+            base = Path(text) if Path(text).is_dir() else path.parent
+            found.setdefault(path, path.relative_to(base).with_suffix("").as_posix())
+    return list(found.items())
+
+
+def _named(pairs: list[tuple[Path, Path]]) -> list[Scene]:
+    """Scenes called by the reference's name, with more of its path where that is not unique."""
+    stems = [reference.stem for _, reference in pairs]
+    return [
+        Scene(stem if stems.count(stem) == 1 else reference.with_suffix("").as_posix().replace("/", "_").strip("_"),
+              cloud, reference)
+        for stem, (cloud, reference) in zip(stems, pairs, strict=True)
+    ]  # fmt: skip
+
+
+def evaluate_scenes(
+    scenes: Sequence[Scene],
+    ignore: Sequence[int] = IGNORED,
+    maps: MapRequest | None = None,
+    listener: Listener = silent,
+) -> dict[str, Any]:
+    """Score each scene, and all points together.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    ignore : sequence of int
+        True classes that are left out.
+    maps : MapRequest, optional
+        Write a map of the errors of each scene.
+    listener : callable
+        Told what happens, see `tiler.observe.events`.
+
+    Returns
+    -------
+    dict
+        Of all points together as `tiler.evaluate.evaluate_files` says, without ``matched_by``; ``mean``: the scenes'
+        mean errors, each scene of the same weight; ``scenes``: for each ``name``, ``cloud``, ``reference``, its own
+        scores, and ``maps``, the files written.
+
+    Raises
+    ------
+    TilerError
+    """
+    total, results = Findings(), []
+    for scene in scenes:
+        listener("note", {"text": f"{scene.name}: {scene.cloud} against {scene.reference}"})
+        grid = None if maps is None else _grid(scene.reference, maps.cell_m, ignore)
+        findings, how = compare_files(scene.cloud, scene.reference, grid)
+        total.table += findings.table
+        total.withheld += findings.withheld
+        written = [] if maps is None or grid is None else _write_map(grid, maps, scene)
+        results.append({
+            "name": scene.name, "cloud": str(scene.cloud), "reference": str(scene.reference),
+            **findings.facts(ignore), **how, "maps": written,
+        })  # fmt: skip
+    return {
+        **total.facts(ignore),
+        **{name: sum(r[name] for r in results) for name in ("unmatched_reference", "unmatched_cloud")},
+        "mean": mean_scores(results),
+        "scenes": results,
+    }
+
+
+def _grid(reference: Path, cell_m: Fraction, ignore: Sequence[int]) -> ErrorGrid:
+    from tiler.ingest import inspect
+
+    return ErrorGrid(cell_m / (inspect(reference).georeference.horizontal or METRE), ignore)
+
+
+def _write_map(grid: ErrorGrid, maps: MapRequest, scene: Scene) -> list[str]:
+    from tiler.ingest import inspect
+
+    return write_error_map(grid, maps.folder, scene.name, inspect(scene.reference).georeference.wkt)
+
+
+def filter_and_evaluate(
+    clouds: Sequence[str | Path],
+    config: RunConfig,
+    ignore: Sequence[int] = IGNORED,
+    maps: MapRequest | None = None,
+    listener: Listener = silent,
+) -> dict[str, Any]:
+    """Filter labelled clouds, whose classes the filter does not get to see, and score the result against them.
+
+    Every point takes part, whatever its class: with the classes that a run leaves alone (noise, water, bridges) the
+    truth would help the filter. Only withheld points stay out; they are not judged either.
+
+    Parameters
+    ----------
+    clouds : sequence of path
+        Files, folders, globs, with true classes.
+    config : RunConfig
+        Of the filter; `keep_classes` is overruled.
+    ignore, maps, listener
+        See `evaluate_scenes`.
+
+    Returns
+    -------
+    dict
+        As `evaluate_scenes`; each scene has ``seconds``; ``method`` and ``parameters`` say what was run.
+
+    Raises
+    ------
+    TilerError
+    """
+    from tiler.classify import classify_file
+
+    blind = config.updated(keep_classes=())
+    listener("note", {"text": "the classes of the clouds are not shown to the filter"})
+    with TemporaryDirectory(prefix="tiler-evaluate-") as scratch:
+        scenes, filtered = [], []
+        for number, scene in enumerate(find_scenes(clouds, clouds)):
+            target = Path(scratch) / f"{number}.laz"
+            filtered.append(classify_file(scene.reference, target, blind, listener))
+            scenes.append(Scene(scene.name, target, scene.reference))
+        facts = evaluate_scenes(scenes, ignore, maps)
+    for result, made in zip(facts["scenes"], filtered, strict=True):
+        result |= {"cloud": result["reference"], "seconds": made["seconds"]}
+    return {**facts, "method": config.method, "parameters": filtered[0]["parameters"]}
