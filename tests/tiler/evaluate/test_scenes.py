@@ -88,7 +88,9 @@ def test_a_map_shows_where(tmp_path: Path) -> None:
     assert code.tolist() == [[0, 0, 2], [0, 0, 0], [1, 1, 0]]
     assert lost.tolist() == [[0, 0, 0], [0, 0, 0], [100, 50, 0]]
     assert taken.tolist() == [[0, 0, 25], [0, 0, 0], [0, 0, 0]]
-    with pytest.warns(NotGeoreferencedWarning), rasterio.open(png) as picture:
+    with pytest.warns(NotGeoreferencedWarning):
+        picture = rasterio.open(png)
+    with picture:
         assert picture.shape == (3, 3)
         red, green, blue, opacity = picture.read()
     assert red[2, 0] > 2 * blue[2, 0]
