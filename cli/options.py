@@ -15,7 +15,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 SETTINGS = {spec.name: spec for spec in dataclasses.fields(RunConfig)}
 
-_METAVARS = {"length": "LENGTH", "bytes": "SIZE", "classes": "N,N,...", "pairs": "NAME=VALUE",
+_METAVARS = {"length": "LENGTH", "bytes": "SIZE", "classes": "N,N,...", "names": "NAME,...", "pairs": "NAME=VALUE",
              "bounds": "X0 Y0 X1 Y1", "int": "N"}  # fmt: skip
 
 

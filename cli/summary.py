@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tiler.core.products import PRODUCTS
 from tiler.observe.progress import duration_text, rate_text
+
+_OTHERS = [f"{name}.tif" for name in PRODUCTS if name != "dtm"]
 
 
 def size_text(size: float) -> str:
@@ -44,6 +47,9 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         facts = summary["dtm"]
         size = f"{facts['width']:,} x {facts['height']:,} pixels of {facts['resolution_m']:g} m"
         lines.append(f"DTM         {Path(out) / 'dtm.tif'}, {size}")
+    others = [name for name in summary.get("outputs", {}) if name in _OTHERS]
+    if others:
+        lines.append(f"products    {', '.join(str(Path(out) / name) for name in others)}")
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
     lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
     lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")

@@ -12,6 +12,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from tiler.core.products import PRODUCTS
 from tiler.core.units import parse_length
 from tiler.errors import ConfigError
 
@@ -34,6 +35,8 @@ class RunConfig:
     ground_classes: tuple[int, ...] = setting(
         (2,), "classes that `--method keep` grids as ground", kind="classes"
     )
+    products: tuple[str, ...] = setting(("dtm",), "rasters to write, each as OUT/<name>.tif: " + ", ".join(PRODUCTS),
+                                        kind="names", choices=tuple(PRODUCTS))  # fmt: skip
     resolution: Fraction | None = setting(None, "pixel size; default 1 m, or the spacing of the ground where that "
                                           "is coarser", unit="m", kind="length")  # fmt: skip
     tile_size: Fraction | None = setting(None, "side of a filter tile; default from density and memory",
@@ -145,6 +148,20 @@ def parse_classes(text: str | int | list[int] | tuple[int, ...]) -> tuple[int, .
     return classes
 
 
+def parse_names(
+    name: str, text: str | list[str] | tuple[str, ...], choices: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Some of ``choices``, in their order: ``dtm,slope``; raises ConfigError."""
+    parts = text.split(",") if isinstance(text, str) else list(text)
+    found = [str(p).strip() for p in parts if str(p).strip()]
+    for item in found:
+        if item not in choices:
+            raise ConfigError(f"{name} {item!r}: choose from {', '.join(choices)}")
+    if not found:
+        raise ConfigError(f"{name}: names at least one of {', '.join(choices)}")
+    return tuple(c for c in choices if c in found)
+
+
 def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
     """``name=value`` settings of a method, from strings or a mapping; raises ConfigError."""
     if isinstance(value, Mapping):
@@ -188,6 +205,10 @@ def _parse(spec: dataclasses.Field[Any], value: Any) -> Any:
         return parse_bytes(value)
     if kind == "classes":
         return parse_classes(value)
+    if kind == "names":
+        if not isinstance(value, str | list | tuple):
+            raise ConfigError(f"{spec.name} {value!r}: must be names with commas")
+        return parse_names(spec.name, value, spec.metadata["choices"])
     if kind == "pairs":
         return parse_pairs(value)
     if kind == "bounds":

@@ -15,28 +15,24 @@ import numpy as np
 
 from ptd.methods import METHODS
 from ptd.passes import MethodRefusal, Pass, RunFacts, State
-from ptd.warm import warm_filters, warm_gridding
+from ptd.warm import warm_filters
 from tiler.config import RunConfig
 from tiler.core.lattice import Cell
-from tiler.core.raster import NODATA, RasterSpec
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.job import Commits, Job, RunResult
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
-from tiler.plan import GRID_BLOCK, KEEP, Plan, crs_name, make_plan, refuse
-from tiler.schedule import Task, digest_of
+from tiler.plan import KEEP, Plan, crs_name, make_plan, refuse
+from tiler.rasters import export, grid
+from tiler.schedule import Task
 from tiler.store import BucketInfo, TileStore, create_store, open_store, remove_store, store_exists
 from tiler.tasks import (
     Assembled,
     Source,
     assemble_tasks,
-    classified_tasks,
-    cog_task,
     filter_tasks,
     fragments_of,
-    grid_tasks,
     label_digests,
-    raster_spec,
     spool_tasks,
 )
 
@@ -126,10 +122,10 @@ def _stages(job: Job, until: str) -> None:
     labels = _filter(job, assembled)
     if until == "filter":
         return
-    spec, gridded = _grid(job, assembled, labels)
+    made = grid(job, assembled, labels)
     if until == "grid":
         return
-    _export(job, spec, gridded, sources, spooled, labels)
+    export(job, assembled, made, sources, spooled, labels)
 
 
 def _numbered(job: Job) -> list[Source]:
@@ -315,63 +311,6 @@ def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[s
             f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them"
         )
     return facts
-
-
-def _grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> tuple[RasterSpec, Commits]:
-    """The terrain's raster, block by block."""
-    name, spec = "dtm", raster_spec(job.plan, assembled)
-    tasks = list(grid_tasks(job.plan, assembled, labels, name))
-    done, stale = job.sorted_out(f"grid-{name}", tasks)
-    job.take_back(f"grid-{name}", stale)
-    job.store.create_raster(name, spec.height, spec.width)
-    if job.store.get_state(f"raster-{name}"):  # an earlier run wrote blocks that this one may not write again
-        for block in spec.blocks(GRID_BLOCK):
-            if block.name not in done:
-                job.store.write_block(name, block, np.full((block.height, block.width), NODATA, np.float32))
-    job.store.put_state(f"raster-{name}", spec.to_json())
-    gridded = job.perform(f"grid-{name}", tasks, warm_gridding)
-    if tasks and not gridded:
-        raise ProcessingError(f"no block could be gridded; the first: {job.failed[0]['error']}")
-    records = [record for _, record in gridded.values()]
-    job.facts["dtm"] = {
-        "width": spec.width, "height": spec.height, "resolution_m": float(job.plan.resolution),
-        **{k: sum(r[k] for r in records) for k in ("filled", "marked")},
-        "blocks": len(tasks), "blocks_done_again": sum(r["tries"] > 1 for r in records),
-        "thinned": any(task.arguments["thin_cell"] for task in tasks),
-    }  # fmt: skip
-    return spec, gridded
-
-
-def _export(
-    job: Job,
-    spec: RasterSpec,
-    gridded: Commits,
-    sources: list[Source],
-    spooled: Commits,
-    labels: dict[Cell, str],
-) -> None:
-    """The files that people open."""
-    out = job.out.resolve()
-    digest = digest_of(sorted(source.content for source in sources))
-    tasks = [cog_task(job.plan, spec, gridded, digest, out, "dtm")]
-    if job.plan.config.method != KEEP:
-        tasks += classified_tasks(job.plan, sources, spooled, labels, out)
-    files = {
-        t.key: Path(t.arguments["out"]) / t.key if t.key.endswith(".tif") else Path(t.arguments["out"])
-        for t in tasks
-    }
-    for key, (_, record) in job.store.committed("export").items():
-        if key in files and not (files[key].exists() and files[key].stat().st_size == record["bytes"]):
-            job.store.uncommit("export", key)
-    exported = job.perform("export", tasks)
-    job.facts["outputs"] = {
-        str(files[k].relative_to(out)): record["bytes"] for k, (_, record) in exported.items()
-    }
-    for _, record in exported.values():
-        for text in record.get("notes", ()):
-            job.note(text)
-    if "dtm.tif" not in exported:
-        raise ProcessingError(f"dtm.tif could not be written: {job.failed[-1]['error']}")
 
 
 def _make_folder(out: Path) -> None:

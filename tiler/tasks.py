@@ -19,7 +19,7 @@ from tiler import __version__
 from tiler.core.classes import OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
-from tiler.export import write_classified, write_cog
+from tiler.export import write_classified
 from tiler.filter import LABELS, filter_tile, sight_m
 from tiler.grid import full_halo, grid_block
 from tiler.ingest import SourceInfo, assemble_buckets, pieces, spool_piece
@@ -188,14 +188,21 @@ def raster_spec(plan: Plan, assembled: Assembled) -> RasterSpec:
     return RasterSpec.covering(Lattice(plan.meta.frame.counts(plan.resolution)), assembled.bounds())
 
 
+def ground_arguments(plan: Plan) -> dict[str, Any]:
+    """Arguments of a task that say which points are ground."""
+    keep = plan.config.method == KEEP
+    return {
+        "labels": None if keep else LABELS, "classes": list(plan.config.ground_classes) if keep else [2],
+        "skip_flags": skip_flags(plan),
+    }  # fmt: skip
+
+
 def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], name: str) -> Iterator[Task]:
     """One for each block of the raster that a facet could reach."""
     spec, frame = raster_spec(plan, assembled), plan.meta.frame
     max_edge = frame.counts(plan.config.max_edge)
-    keep = plan.config.method == KEEP
     common = {
-        "name": name, "spec": spec.to_json(), "data": assembled.bounds().to_json(), "labels": None if keep else LABELS,
-        "classes": list(plan.config.ground_classes) if keep else [2], "skip_flags": skip_flags(plan),
+        "name": name, "spec": spec.to_json(), "data": assembled.bounds().to_json(), **ground_arguments(plan),
         "max_edge": str(max_edge), "halo": math.ceil(frame.counts(plan.grid_halo)),
         "max_halo": full_halo(max_edge),
         "thin_cell": str(frame.counts(plan.resolution / 4)) if plan.thin_ground else None,
@@ -212,35 +219,6 @@ def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], nam
         arguments["max_points"] = plan.block_points
         points = sum(assembled.records[cell]["n"] for cell in near)
         yield Task(f"grid-{name}", block.name, digest, grid_block, arguments, points)
-
-
-def cog_task(
-    plan: Plan,
-    spec: RasterSpec,
-    gridded: Mapping[str, tuple[str, dict[str, Any]]],
-    inputs: str,
-    out: Path,
-    name: str,
-) -> Task:
-    """The raster as a file."""
-    blocks = [[key, record["checksum"]] for key, (_, record) in sorted(gridded.items())]
-    arguments = {
-        "name": name, "spec": spec.to_json(), "out": str(out), "description": "terrain height",
-        "compress": plan.config.compress,
-        "tags": {
-            "TILER_VERSION": __version__, "TILER_METHOD": plan.config.method,
-            "TILER_PARAMETERS": _text(plan.parameters), "TILER_INPUTS": inputs,
-        },
-    }  # fmt: skip
-    return Task(
-        "export", f"{name}.tif", digest_of(arguments, blocks), write_cog, arguments, spec.height * spec.width
-    )
-
-
-def _text(parameters: Mapping[str, Any]) -> str:
-    import json
-
-    return json.dumps(parameters, sort_keys=True)
 
 
 def classified_tasks(

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tiler.core.lattice import Bounds, Lattice
-
-NODATA = -9999.0
+from tiler.core.products import NODATA as NODATA  # here for those that deal with rasters
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ import numpy.typing as npt
 import rasterio
 import rasterio.shutil
 
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
+from tiler.core.products import HEIGHT, PRODUCTS, Product
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
@@ -38,9 +39,9 @@ class Statistics:
     mean: float = 0.0
     squares: float = 0.0
 
-    def merged(self, heights: npt.NDArray[np.float32]) -> Statistics:
+    def merged(self, block: npt.NDArray[np.float32], nodata: float | None = NODATA) -> Statistics:
         """These and one more block's (Chan, Golub and LeVeque 1979, eq. 2.1)."""
-        values = heights[heights != np.float32(NODATA)].astype(np.float64)
+        values = (block.ravel() if nodata is None else block[block != np.float32(nodata)]).astype(np.float64)
         if values.size == 0:
             return self
         n, mean = self.n + values.size, float(values.mean())
@@ -75,15 +76,16 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ----------
     store_url : str
     args : dict
-        ``name``: of the raster in the store and of the file. ``spec``: `RasterSpec` as JSON. ``out``: folder that
-        exists. ``description``: of the band. ``compress``: ``deflate`` or ``zstd``. ``tags``: mapping of str to
-        str, the provenance (TILER_VERSION, TILER_METHOD, TILER_PARAMETERS, TILER_INPUTS).
+        ``name``: of the file. ``raster``: in the store (default: ``name``). ``product``: key of `PRODUCTS`, for the
+        type and looks (default: dtm). ``spec``: `RasterSpec` as JSON. ``out``: folder that exists. ``compress``:
+        ``deflate`` or ``zstd``. ``tags``: mapping of str to str, the provenance (TILER_VERSION, TILER_METHOD,
+        TILER_PARAMETERS, TILER_INPUTS).
 
     Returns
     -------
     dict
         ``path`` (the file's name), ``bytes``, ``digest`` (BLAKE2b of the file), ``pixels``, ``valid``, and ``min``,
-        ``max``, ``mean`` (vertical units of the CRS, None without a valid pixel).
+        ``max``, ``mean`` (None without a valid pixel).
 
     Raises
     ------
@@ -95,7 +97,7 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     plain, partial = (target.with_name(f"{target.name}.{kind}.partial") for kind in ("plain", "cog"))
     try:
         statistics = _write_plain(store, spec, args, plain)
-        _copy_as_cog(plain, partial, args["compress"])
+        _copy_as_cog(plain, partial, args["compress"], _product(args))
         _check(partial, spec)
         _publish(partial, target)
     finally:
@@ -115,25 +117,44 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _product(args: dict[str, Any]) -> Product:
+    return PRODUCTS[args.get("product", "dtm")]
+
+
 def _write_plain(store: TileStore, spec: RasterSpec, args: dict[str, Any], path: Path) -> Statistics:
     """Copy the raster block by block, row by row from the north-west."""
-    frame, statistics = store.meta.frame, Statistics()
-    look = RasterLook(frame.crs_wkt, unit_label(frame.units.vertical), args["description"], args["tags"])
-    with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
+    frame, statistics, product = store.meta.frame, Statistics(), _product(args)
+    raster_name, nodata = args.get("raster", args["name"]), product.nodata
+    with plain_geotiff(
+        path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), _look(frame, args)
+    ) as raster:
         for block in spec.blocks(TILE):
-            heights = store.read_block(args["name"], block)
-            statistics = statistics.merged(heights)
-            if np.any(heights != np.float32(NODATA)):
-                raster.write(heights, block.row, block.col)
-        raster.tag_band(statistics.tags(spec.height * spec.width))
+            values = store.read_block(raster_name, block)
+            statistics = statistics.merged(values, nodata)
+            if nodata is None or np.any(values != np.float32(nodata)):
+                raster.write(values, block.row, block.col)
+        raster.tag_band({**_meanings(product), **statistics.tags(spec.height * spec.width)})
     return statistics
 
 
-def _copy_as_cog(plain: Path, partial: Path, compress: str) -> None:
+def _look(frame: CoordFrame, args: dict[str, Any]) -> RasterLook:
+    product = _product(args)
+    unit = unit_label(frame.units.vertical) if product.unit == HEIGHT else product.unit
+    return RasterLook(
+        frame.crs_wkt, unit, product.description, args["tags"], product.dtype, product.nodata, product.colours
+    )
+
+
+def _meanings(product: Product) -> dict[str, str]:
+    """What the values of a band of classes mean, a tag each."""
+    return {f"VALUE_{value}": text for value, text in product.values.items()}
+
+
+def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) -> None:
     """Let GDAL order, compress and build overviews, in one thread and bounded memory."""
     options = {
-        "COMPRESS": compress.upper(), "PREDICTOR": "FLOATING_POINT", "OVERVIEW_PREDICTOR": "FLOATING_POINT",
-        "BLOCKSIZE": TILE, "OVERVIEW_RESAMPLING": "AVERAGE", "OVERVIEWS": "AUTO", "BIGTIFF": "IF_SAFER",
+        "COMPRESS": compress.upper(), "PREDICTOR": product.predictor, "OVERVIEW_PREDICTOR": product.predictor,
+        "BLOCKSIZE": TILE, "OVERVIEW_RESAMPLING": product.resampling, "OVERVIEWS": "AUTO", "BIGTIFF": "IF_SAFER",
         "NUM_THREADS": 1, "STATISTICS": "AUTO",  # AUTO: those that are there
     }  # fmt: skip
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, GDAL_NUM_THREADS=1), raster_errors(partial):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,23 +41,31 @@ class RasterLook:
         Of the band.
     tags : mapping of str to str
         Of the data set.
+    dtype : str
+    nodata : float or None
+    colours : mapping of int to (red, green, blue)
+        Colour table of a uint8 band, empty for none.
     """
 
     crs: str | None
     unit: str
     description: str
     tags: Mapping[str, str]
+    dtype: str = "float32"
+    nodata: float | None = NODATA
+    colours: Mapping[int, tuple[int, int, int]] = field(default_factory=dict)
 
 
 class PlainWriter:
-    """Takes float32 blocks of an open raster."""
+    """Takes blocks of an open raster."""
 
     def __init__(self, raster: Any) -> None:
         self._raster = raster
 
-    def write(self, heights: npt.NDArray[np.float32], row: int, col: int) -> None:
+    def write(self, values: npt.NDArray[np.float32], row: int, col: int) -> None:
         """Write a block, shape (height, width), whose north-west pixel is (row, col)."""
-        self._raster.write(heights, 1, window=Window(col, row, heights.shape[1], heights.shape[0]))
+        values = values.astype(self._raster.dtypes[0], copy=False)
+        self._raster.write(values, 1, window=Window(col, row, values.shape[1], values.shape[0]))
 
     def tag_band(self, tags: Mapping[str, str]) -> None:
         """Set metadata of the band."""
@@ -72,7 +80,7 @@ def plain_geotiff(
     transform: tuple[float, float, float, float, float, float],
     look: RasterLook,
 ) -> Iterator[PlainWriter]:
-    """Open a new tiled float32 GeoTIFF, not compressed, BigTIFF if it may pass 4 GB, for blocks in any order.
+    """Open a new tiled GeoTIFF, not compressed, BigTIFF if it may pass 4 GB, for blocks in any order.
 
     Blocks that are never written stay nodata and take no disk. Raises ProcessingError.
 
@@ -87,10 +95,12 @@ def plain_geotiff(
     look : RasterLook
     """
     profile = {
-        "driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": "float32", "nodata": NODATA,
+        "driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": look.dtype, "nodata": look.nodata,
         "crs": None if look.crs is None else CRS.from_user_input(look.crs), "transform": Affine(*transform),
         "tiled": True, "blockxsize": TILE, "blockysize": TILE, "BIGTIFF": "IF_SAFER", "SPARSE_OK": True,
     }  # fmt: skip
+    if look.colours:
+        profile["photometric"] = "palette"
     with (
         _any_place(),
         rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
@@ -98,7 +108,10 @@ def plain_geotiff(
         rasterio.open(path, "w", **profile) as raster,
     ):
         raster.update_tags(AREA_OR_POINT="Area", **look.tags)
-        raster.units = (look.unit,)
+        if look.colours:  # before the first pixel: the header is closed then
+            raster.write_colormap(1, dict(look.colours))
+        if look.unit:
+            raster.units = (look.unit,)
         raster.set_band_description(1, look.description)
         yield PlainWriter(raster)
 

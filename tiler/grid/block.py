@@ -7,7 +7,6 @@ that closer data beyond the window could change is marked. A block with marks is
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass
 from fractions import Fraction
@@ -17,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.tin import Pixels, Raster, Tin, Window, rasterise
-from tiler.core.classes import GROUND, WITHHELD_FLAG
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.errors import ProcessingError
+from tiler.grid.checksum import checksum
 from tiler.grid.ground import Ground, GroundRule, central_points, read_ground, whole_cells
 from tiler.store import TileStore, open_store
 
@@ -80,7 +79,7 @@ def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     store = open_store(store_url)
     heights, record = _in_parts(store, args)
     store.write_block(args["name"], Block(*args["block"]), heights)
-    return {**record, "checksum": hashlib.blake2b(heights.tobytes(), digest_size=16).hexdigest()}
+    return {**record, "checksum": checksum(heights)}
 
 
 def _in_parts(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
@@ -149,7 +148,7 @@ def _job(args: dict[str, Any]) -> _Job:
     return _Job(
         RasterSpec.from_json(args["spec"]),
         Block(*args["block"]),
-        GroundRule(args["labels"], args.get("classes", (GROUND,)), args.get("skip_flags", WITHHELD_FLAG)),
+        GroundRule.from_args(args),
         Bounds.from_json(args["data"]),
         Fraction(args["max_edge"]),
         None if thin is None else Lattice(Fraction(thin)),

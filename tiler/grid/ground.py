@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import WITHHELD_FLAG
+from tiler.core.classes import GROUND, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Lattice
 from tiler.errors import StoreError
 from tiler.store import TileStore
@@ -33,6 +34,11 @@ class GroundRule:
     labels: str | None
     classes: Sequence[int]
     skip_flags: int = WITHHELD_FLAG
+
+    @classmethod
+    def from_args(cls, args: dict[str, Any]) -> GroundRule:
+        """From ``labels``, ``classes`` (default 2) and ``skip_flags`` (default withheld) of a task."""
+        return cls(args["labels"], args.get("classes", (GROUND,)), args.get("skip_flags", WITHHELD_FLAG))
 
 
 @dataclass(frozen=True)

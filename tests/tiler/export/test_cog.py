@@ -53,7 +53,7 @@ def filled_store(folder: Path, spec: RasterSpec, heights: np.ndarray, frame: Coo
 
 def export(folder: Path, store: TileStore, spec: RasterSpec, compress: str = "deflate") -> dict:
     arguments = {
-        "name": "dtm", "spec": spec.to_json(), "out": str(folder), "description": "terrain height",
+        "name": "dtm", "spec": spec.to_json(), "out": str(folder),
         "compress": compress, "tags": TAGS,
     }  # fmt: skip
     return write_cog(store.url, arguments)

@@ -41,7 +41,7 @@ def test_a_plane_in_the_file(make_scene, tmp_path, code, unit, origin, size):
         spec = scene.grid_into_store(name, size, halo=halo)
         out = tmp_path / name
         out.mkdir()
-        arguments = {"name": name, "spec": spec.to_json(), "out": str(out), "description": "height",
+        arguments = {"name": name, "spec": spec.to_json(), "out": str(out),
                      "compress": "deflate", "tags": {"TILER_METHOD": "keep"}}  # fmt: skip
         write_cog(scene.store.url, arguments)
         files.append(out / f"{name}.tif")

@@ -1,0 +1,55 @@
+"""The products of a run: what each raster holds, and how its file says so. The only place that lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+NODATA = -9999.0
+"""Of every raster of float32 that has pixels without a value."""
+
+HEIGHT = "height"
+"""In place of a unit: the vertical unit of the CRS."""
+
+
+@dataclass(frozen=True)
+class Product:
+    """One raster that people open.
+
+    Attributes
+    ----------
+    description : str
+        Of the band.
+    unit : str
+        Of the band as GDAL names it, `HEIGHT`, or empty for none.
+    dtype : str
+        ``float32`` or ``uint8``.
+    nodata : float or None
+        None: every pixel has a value.
+    resampling : str
+        Of the overviews, a name of GDAL's COG driver.
+    predictor : str
+        Of the compression, a name of GDAL's COG driver.
+    colours : mapping of int to (red, green, blue)
+        Colour table, empty for none.
+    values : mapping of int to str
+        What the values mean where they are classes.
+    """
+
+    description: str
+    unit: str = HEIGHT
+    dtype: str = "float32"
+    nodata: float | None = NODATA
+    resampling: str = "AVERAGE"
+    predictor: str = "FLOATING_POINT"
+    colours: Mapping[int, tuple[int, int, int]] = field(default_factory=dict)
+    values: Mapping[int, str] = field(default_factory=dict)
+
+
+PRODUCTS: dict[str, Product] = {
+    "dtm": Product("terrain height"),
+    "hillshade": Product("multidirectional hillshade", "", "uint8", 0, predictor="STANDARD"),
+    "slope": Product("slope", "degree"),
+    "density": Product("ground points per square metre", "1/m2", nodata=None),
+}  # fmt: skip
+"""In the order in which they are made."""

@@ -1,0 +1,60 @@
+"""Ground points per square metre, pixel by pixel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.raster import Block, RasterSpec
+from tiler.grid.checksum import checksum
+from tiler.grid.ground import GroundRule, read_ground
+from tiler.store import TileStore, open_store
+
+
+def density_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write one block of the density of ground points; a `tiler.schedule.task.Work`.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``name``, ``spec``, ``block``, ``labels``, ``classes``, ``skip_flags``: as those of `grid_block`.
+
+    Returns
+    -------
+    dict
+        ``pixels``, ``filled`` (pixels with a point), ``points``; ``checksum``.
+    """
+    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
+    counts = ground_counts(store, GroundRule.from_args(args), spec, block)
+    area = (spec.lattice.size * store.meta.frame.metres_xy) ** 2
+    values = (counts / float(area)).astype(np.float32)
+    store.write_block(args["name"], block, values)
+    return {
+        "pixels": values.size,
+        "filled": int(np.count_nonzero(counts)),
+        "points": int(counts.sum()),
+        "checksum": checksum(values),
+    }
+
+
+def ground_counts(
+    store: TileStore, rule: GroundRule, spec: RasterSpec, block: Block
+) -> npt.NDArray[np.int64]:
+    """Ground points in each pixel of a block, int64 (height, width)."""
+    bounds = spec.block_bounds(block)
+    xyz = read_ground(store, rule, bounds).xyz
+    pixels = pixel_indices(xyz, store.meta.frame.origin, spec, block)
+    return np.bincount(pixels, minlength=block.height * block.width).reshape(block.height, block.width)
+
+
+def pixel_indices(
+    xyz: npt.NDArray[np.int32], origin: tuple[int, int], spec: RasterSpec, block: Block
+) -> npt.NDArray[np.int64]:
+    """``row * width + col`` of each point within the block; all points have to lie in it."""
+    x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
+    col = spec.lattice.index(x) - (spec.west + block.col)
+    row = (spec.north - 1 - block.row) - spec.lattice.index(y)
+    return row * block.width + col

@@ -1,0 +1,87 @@
+"""Rasters made of rasters of the store, block by block; neighbours across the block's edge are read as well."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.grid.checksum import checksum
+from tiler.grid.shape import gradients, multidirectional_hillshade, slope_deg
+from tiler.store import TileStore, open_store
+
+Float64 = npt.NDArray[np.float64]
+
+
+def derive_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write one block of a raster that follows from others; a `tiler.schedule.task.Work`.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``name``: of the raster in the store. ``product``: ``hillshade``, ``slope`` or ``ndsm``. ``spec``: `RasterSpec`
+        as JSON. ``block``: row, col, height, width. ``dtm``, ``dsm``: names of the rasters that it follows from.
+
+    Returns
+    -------
+    dict
+        ``pixels``, ``filled``; ``checksum``.
+    """
+    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
+    found = _PRODUCTS[args["product"]](store, spec, block, args)
+    fill = np.float32(args["fill"])
+    values = np.where(np.isnan(found), fill, found.astype(np.float32))
+    store.write_block(args["name"], block, values)
+    return {
+        "pixels": values.size,
+        "filled": int(np.count_nonzero(values != fill)),
+        "checksum": checksum(values),
+    }
+
+
+def _read(store: TileStore, name: str, block: Block) -> Float64:
+    heights = store.read_block(name, block)
+    return np.where(heights == np.float32(NODATA), np.nan, heights.astype(np.float64))
+
+
+def _with_rim(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Float64:
+    """A block and one pixel on each side, NaN beyond the raster."""
+    top, left = min(block.row, 1), min(block.col, 1)
+    bottom = min(spec.height - block.row - block.height, 1)
+    right = min(spec.width - block.col - block.width, 1)
+    wider = Block(block.row - top, block.col - left, block.height + top + bottom, block.width + left + right)
+    rim = ((1 - top, 1 - bottom), (1 - left, 1 - right))
+    return np.pad(_read(store, name, wider), rim, constant_values=np.nan)
+
+
+def _terrain_gradients(
+    store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any]
+) -> tuple[Float64, Float64]:
+    # Counts of a pixel as vertical units: feet below heights in metres, or the other way round.
+    frame = store.meta.frame
+    step = spec.lattice.size * frame.metres_xy / frame.units.vertical
+    return gradients(_with_rim(store, args["dtm"], spec, block), float(step))
+
+
+def _hillshade(store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any]) -> Float64:
+    return multidirectional_hillshade(*_terrain_gradients(store, spec, block, args))
+
+
+def _slope(store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any]) -> Float64:
+    return slope_deg(*_terrain_gradients(store, spec, block, args))
+
+
+def _ndsm(store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any]) -> Float64:
+    """Not clamped: where a slope falls within a pixel the highest return can lie below the height at its centre."""
+    return _read(store, args["dsm"], block) - _read(store, args["dtm"], block)
+
+
+_PRODUCTS: dict[str, Callable[[TileStore, RasterSpec, Block, dict[str, Any]], Float64]] = {
+    "hillshade": _hillshade,
+    "slope": _slope,
+    "ndsm": _ndsm,
+}
