@@ -48,6 +48,11 @@ class RunConfig:
     memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "
                                  "if that is less", unit="bytes", kind="bytes")  # fmt: skip
     workers: int | None = setting(None, "worker processes, one thread each; default: cores", kind="int")
+    in_process: bool = setting(
+        False,
+        "one worker, and that the command itself, for debugging: what crashes it ends the run",
+        kind="flag",
+    )
     scheduler: str | None = setting(
         None, "address of a running Dask scheduler; default: workers on this machine"
     )

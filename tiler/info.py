@@ -99,7 +99,7 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
     from tiler.core.classes import SYNTHETIC_FLAG, WITHHELD_FLAG
     from tiler.las.columns import class_and_flags
     from tiler.las.headers import read_header
-    from tiler.las.reader import NEEDED, PointReader
+    from tiler.las.reader import NEEDED, PointReader, rows_at_once
 
     if bounds is None:
         return {}
@@ -111,8 +111,9 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
     last = int(longer / cell)
     occupied = np.zeros((last + 1, last + 1), np.bool_)
     with PointReader(header, NEEDED) as reader:
-        for start in range(0, header.point_count, _STEP):
-            records = reader.read(start, min(_STEP, header.point_count - start))
+        step = rows_at_once(header.record_length, _STEP)
+        for start in range(0, header.point_count, step):
+            records = reader.read(start, min(step, header.point_count - start))
             codes, flags = class_and_flags(records, header.point_format)
             classes += np.bincount(codes, minlength=256)
             flagged += np.bincount(flags, minlength=256)

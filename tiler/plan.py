@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,9 @@ from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import SourceInfo, agree, bounds_in_counts, find_inputs, inspect
+from tiler.ingest import SourceInfo, agree, bounds_in_counts, find_inputs, inspect, inspect_guarded
 from tiler.report import earlier_statistics
+from tiler.schedule import Guard
 from tiler.store import StoreMeta
 
 KEEP = "keep"
@@ -306,13 +308,15 @@ def _names(sources: Sequence[SourceInfo]) -> str:
 def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
     sources: list[SourceInfo] = []
     unreadable: list[tuple[str, str]] = []
-    for path in paths:
-        try:
-            sources.append(inspect(path, config.salvage))
-        except InputError as error:
-            if config.on_error == "stop" or len(paths) == 1:
-                raise
-            unreadable.append((str(path), str(error)))
+    with Guard() as guard:
+        look = inspect if config.in_process else partial(inspect_guarded, guard)
+        for path in paths:
+            try:
+                sources.append(look(path, config.salvage))
+            except InputError as error:
+                if config.on_error == "stop" or len(paths) == 1:
+                    raise
+                unreadable.append((str(path), str(error)))
     if not sources:
         raise InputError(f"none of {len(paths)} inputs can be read; the first: {unreadable[0][1]}")
     return sources, unreadable

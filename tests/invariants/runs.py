@@ -20,9 +20,10 @@ MARK = 0x80
 
 
 def settings(**changes: Any) -> RunConfig:
-    """One worker, tiles far smaller than the scenes; lengths as numbers of metres."""
+    """One worker, this process; tiles far smaller than the scenes; lengths as numbers of metres."""
     values: dict[str, Any] = {
-        "workers": 1, "resolution": "1", "tile_size": "64", "halo": "80", "memory": "1GiB", **changes,
+        "workers": 1, "resolution": "1", "tile_size": "64", "halo": "80", "memory": "1GiB", "in_process": True,
+        **changes,
     }  # fmt: skip
     return RunConfig.from_mapping(values)
 

@@ -21,7 +21,7 @@ from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError
 from tiler.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
 from tiler.las.headers import LasHeader, read_header
-from tiler.las.reader import EVERYTHING, PointReader, Records
+from tiler.las.reader import EVERYTHING, PointReader, Records, rows_at_once
 from tiler.las.records import VariableRecord
 from tiler.las.writer import PointWriter, laszip_vlr
 from tiler.store import TileStore, open_store
@@ -154,13 +154,14 @@ def _write_points(
     changed = refused = 0
     channels: set[int] = set()
     highest = LEGACY_CLASS_MASK if is_legacy(header.point_format) else 255
+    step = rows_at_once(header.record_length, _STEP)
     writer = PointWriter(target, header)
     with PointReader(header, EVERYTHING) as reader:
         for first in range(0, header.point_count, ROWS_AT_ONCE):
             last = min(first + ROWS_AT_ONCE, header.point_count)
             found = collect_labels(store, source, labels, cells, first, last)
-            for start in range(first, last, _STEP):
-                stop = min(start + _STEP, last)
+            for start in range(first, last, step):
+                stop = min(start + step, last)
                 records = reader.read(start, stop - start)
                 channels |= _channels(header, records)
                 if len(channels) > 1:

@@ -8,7 +8,7 @@ Before them, in one process: `find_inputs`, `inspect`, `agree`, `pieces`.
 from tiler.ingest.assemble import assemble_buckets
 from tiler.ingest.georeference import Agreement, Georeference, agree
 from tiler.ingest.requantise import bounds_in_counts
-from tiler.ingest.sources import SourceInfo, find_inputs, inspect, pieces
+from tiler.ingest.sources import SourceInfo, find_inputs, inspect, inspect_guarded, pieces
 from tiler.ingest.spool import spool_piece
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "bounds_in_counts",
     "find_inputs",
     "inspect",
+    "inspect_guarded",
     "pieces",
     "spool_piece",
 ]

@@ -9,20 +9,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tiler.errors import ConfigError, InputError
+from tiler.ingest.extent import find_extent
 from tiler.ingest.georeference import Georeference, georeference
 from tiler.las.columns import RGB_FORMATS
-from tiler.las.headers import LasHeader, read_header
-from tiler.las.reader import COORDINATES, PointReader, Records, count_decodable
+from tiler.las.headers import read_header
+from tiler.las.reader import count_decodable, rows_at_once
+from tiler.schedule.guard import Died, Guard
 
 SUFFIXES = (".las", ".laz")
 
-_SAMPLE = 4096
-_SCAN = 1 << 19
-_WIDEST = 1e6
-"""Units of a credible extent: from anywhere within it, int32 counts reach all of it."""
+INSPECTION_SECONDS = 60.0
+BYTES_PER_SECOND = 1e6
+"""Slower than any disk and decoder: an inspection that reads all points of a file may take so long."""
+
+_LARGEST_CHUNK = 4_000_000
+"""Points; chunks of more are divided: what they claim to hold must not be allocated at once."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,10 @@ class SourceInfo:
     scales : tuple of 3 float
     georeference : Georeference
     bounds : tuple of 6 float or None
-        Lowest x, y, z, highest x, y, z in units of the CRS: the header's where a sample of points
-        lies inside, else those of all points; None where there are no points.
+        Lowest x, y, z, highest x, y, z in units of the CRS, see `tiler.ingest.extent`; None where there
+        are no points.
+    claimed : bool
+        The bounds are the header's, and a sample of points lies inside.
     notes : tuple of str
         What people should know.
     """
@@ -64,6 +68,7 @@ class SourceInfo:
     scales: tuple[float, float, float]
     georeference: Georeference
     bounds: tuple[float, ...] | None
+    claimed: bool
     notes: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -90,7 +95,7 @@ def find_inputs(
     exclude : sequence of Path
         Folders that are not looked into (the run's own output).
     note : callable
-        Told of a file that was named twice.
+        Told of what is left out, and of a file that was named twice.
 
     Raises
     ------
@@ -104,7 +109,7 @@ def find_inputs(
     barred = {p.resolve() for p in exclude}
     found: dict[Path, Path] = {}
     for text in paths:
-        for path in _expand(str(text), barred):
+        for path in _expand(str(text), barred, note):
             real = path.resolve()
             if real in found:
                 note(f"{path}: named twice (as {found[real]}), read once")
@@ -117,10 +122,10 @@ def find_inputs(
     return sorted(found.values())
 
 
-def _expand(text: str, barred: set[Path]) -> Iterator[Path]:
+def _expand(text: str, barred: set[Path], note: Callable[[str], None]) -> Iterator[Path]:
     path = Path(text)
     if path.is_dir():
-        yield from _walk(path, barred)
+        yield from _walk(path, barred, note)
     elif path.exists():
         yield path
     else:
@@ -129,15 +134,23 @@ def _expand(text: str, barred: set[Path]) -> Iterator[Path]:
             raise ConfigError(f"{text}: no such file or folder; name LAS or LAZ files, folders or globs")
         for match in map(Path, matches):
             if match.is_dir():
-                yield from _walk(match, barred)
+                yield from _walk(match, barred, note)
             elif match.suffix.lower() in SUFFIXES:
                 yield match
 
 
-def _walk(folder: Path, barred: set[Path]) -> Iterator[Path]:
-    for root, folders, names in os.walk(folder):
+def _walk(folder: Path, barred: set[Path], note: Callable[[str], None]) -> Iterator[Path]:
+    """The clouds below a folder; it does not follow links to folders, which may lead in circles or anywhere."""
+
+    def unreadable(error: OSError) -> None:
+        note(f"{error.filename}: cannot be looked into ({error.strerror}); what it holds is left out")
+
+    for root, folders, names in os.walk(folder, onerror=unreadable):
         here = Path(root)
         folders[:] = sorted(f for f in folders if (here / f).resolve() not in barred)
+        for name in folders:
+            if (here / name).is_symlink():
+                note(f"{here / name}: is a link to a folder, not followed; name it to read what it holds")
         yield from (here / name for name in sorted(names) if Path(name).suffix.lower() in SUFFIXES)
 
 
@@ -149,37 +162,51 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
     if header.point_count == 0:
         notes.append("has no points")
     place = georeference(header)
-    bounds, remark = _bounds(header)
-    if remark:
-        notes.append(remark)
+    extent = find_extent(header)
+    if extent.note:
+        notes.append(extent.note)
     return SourceInfo(
         path=header.path, size=header.size, mtime_ns=header.mtime_ns, digest=header.digest,
         version="{}.{}".format(*header.version), point_format=header.point_format,
         record_length=header.record_length, points=header.point_count, compressed=header.laz is not None,
         copc=any(v.is_copc for v in header.vlrs), has_rgb=header.point_format in RGB_FORMATS,
-        salvaged=salvage and bool(header.notes), scales=header.scales, georeference=place, bounds=bounds,
+        salvaged=salvage and bool(header.notes), scales=header.scales, georeference=place, bounds=extent.bounds,
+        claimed=extent.claimed,
         notes=(*notes, *(place.notes if place.kind != "missing" else ())),
     )  # fmt: skip
+
+
+def inspect_guarded(guard: Guard, path: Path, salvage: bool = False) -> SourceInfo:
+    """`inspect` in a child process: a file that makes the decoder crash, hang or eat memory is an InputError."""
+    try:
+        size = path.stat().st_size
+        return guard.call(inspect, path, salvage, seconds=INSPECTION_SECONDS + size / BYTES_PER_SECOND)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); name a readable file") from error
+    except Died as died:
+        raise InputError(f"{path}: what reads it {died}; get the file again") from died
 
 
 def pieces(info: SourceInfo, size: int = 1_000_000) -> list[tuple[int, int]]:
     """Ranges (start, count) that hold each point of a source once, of about ``size`` points.
 
-    They begin and end with chunks of a LAZ file, so that no chunk is decoded twice.
+    They begin and end with chunks of a LAZ file, so that no chunk is decoded twice, unless a chunk is absurdly large.
     """
     if info.points == 0:
         return []
     header = read_header(info.path, info.salvaged)
+    size = rows_at_once(header.record_length, size)
+    largest = rows_at_once(header.record_length, _LARGEST_CHUNK)
     layout = header.laz
     step = size
     if layout is not None and (layout.chunk_size is None or (layout.rebuilt and layout.counts.size)):
-        return _whole_chunks(layout.counts.tolist(), size)
-    if layout is not None and layout.chunk_size is not None:
+        return _whole_chunks(layout.counts.tolist(), size, largest)
+    if layout is not None and layout.chunk_size is not None and layout.chunk_size <= largest:
         step = max(size // layout.chunk_size, 1) * layout.chunk_size
     return [(start, min(step, info.points - start)) for start in range(0, info.points, step)]
 
 
-def _whole_chunks(counts: Sequence[int], size: int) -> list[tuple[int, int]]:
+def _whole_chunks(counts: Sequence[int], size: int, largest: int) -> list[tuple[int, int]]:
     """Neighbouring chunks of their own sizes, together at most ``size`` where one alone is not more."""
     ranges: list[tuple[int, int]] = []
     start = held = 0
@@ -188,52 +215,10 @@ def _whole_chunks(counts: Sequence[int], size: int) -> list[tuple[int, int]]:
             ranges.append((start, held))
             start, held = start + held, 0
         held += count
-    return [*ranges, (start, held)] if held else ranges
-
-
-def _bounds(header: LasHeader) -> tuple[tuple[float, ...] | None, str | None]:
-    """Bounds that can be trusted, and a remark where the header's cannot."""
-    if header.point_count == 0:
-        return None, None
-    claimed = (*header.mins, *header.maxs)
-    tolerance = np.asarray(header.scales)
-    with PointReader(header, COORDINATES) as reader:
-        if max(hi - lo for lo, hi in zip(header.mins, header.maxs, strict=True)) <= _WIDEST:  # NaN is not
-            last = header.point_count - 1
-            starts = sorted({0, _chunk_start(header, last // 2), _chunk_start(header, last)})
-            sample = [reader.read(s, min(_SAMPLE, header.point_count - s)) for s in starts]
-            low, high = _extent(header, sample)
-            if np.all(low >= header.mins - tolerance) and np.all(high <= header.maxs + tolerance):
-                return claimed, None
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for start in range(0, header.point_count, _SCAN):
-            block = reader.read(start, min(_SCAN, header.point_count - start))
-            part_low, part_high = _extent(header, [block])
-            low, high = np.minimum(low, part_low), np.maximum(high, part_high)
-    return (
-        *low.tolist(),
-        *high.tolist(),
-    ), "its points lie outside the bounds that its header gives: read from the points"
-
-
-def _chunk_start(header: LasHeader, point: int) -> int:
-    """The first point of the chunk that holds ``point``, from where decoding it costs least."""
-    layout = header.laz
-    if layout is None:
-        return point
-    if layout.chunk_size is not None:
-        return point // layout.chunk_size * layout.chunk_size
-    ends = np.cumsum(layout.counts)
-    chunk = int(np.searchsorted(ends, point, side="right"))
-    return int(ends[chunk] - layout.counts[chunk])
-
-
-def _extent(
-    header: LasHeader, blocks: Sequence[Records]
-) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Lowest and highest x, y, z of some records in units of the CRS, float64, shape (3,) each."""
-    low = [min(int(b[axis].min()) for b in blocks) for axis in "XYZ"]
-    high = [max(int(b[axis].max()) for b in blocks) for axis in "XYZ"]
-    scales, offsets = np.asarray(header.scales), np.asarray(header.offsets)
-    with np.errstate(over="ignore"):  # absurd scales: what they make infinite is dropped later, with a reason
-        return np.asarray(low) * scales + offsets, np.asarray(high) * scales + offsets
+    if held:
+        ranges.append((start, held))
+    return [
+        (start + i, min(size, count - i))
+        for start, count in ranges
+        for i in range(0, count, size if count > largest else count)
+    ]

@@ -10,6 +10,7 @@ import math
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
+from stat import S_ISREG
 from typing import BinaryIO, NoReturn
 
 from tiler.errors import InputError
@@ -22,6 +23,9 @@ _HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 _RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 _WKT_BIT = 0x10
 _UNKNOWN = 1 << 40
+_MANY = 10_000_000
+_DENSEST = 1000
+"""Points a compressed byte, above which a file of many points is taken for a bomb: clouds have less than one."""
 
 AGAIN = "get the file again"
 SALVAGE = "get the file again, or read what is there with --salvage"
@@ -105,8 +109,10 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
     """
     path = Path(path)
     try:
+        stat = path.stat()
+        if not S_ISREG(stat.st_mode):  # to open a pipe would wait for its other end
+            refuse(path, "is no regular file", "name LAS or LAZ files")
         with open(path, "rb") as stream:
-            stat = path.stat()
             header = _fixed_block(path, stream, stat.st_size, stat.st_mtime_ns, salvage)
             header = _records(header, stream, salvage)
             if header.laz is None:
@@ -228,6 +234,8 @@ def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, s
     """The points of a LAZ file: the table of chunks must be there and agree."""
     if header.point_count == 0:
         return header
+    if header.point_count > max(_MANY, _DENSEST * header.size) and header.point_count != _UNKNOWN:
+        refuse(header.path, f"says {header.point_count} points in {header.size} bytes")
     try:
         counts, sizes = read_table(stream, layout, header.points_offset, header.size, header.point_count)
         return replace(header, laz=replace(layout, counts=counts, sizes=sizes))

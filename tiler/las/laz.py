@@ -19,8 +19,17 @@ _BYTE14 = 14
 _ITEM_VERSION = 3
 
 
+MOST_CHUNKS = 1 << 21
+"""Of 50,000 points each more than any file has; the table of more would not fit into memory."""
+
+
 class LazDamage(Exception):
     """What is wrong with the compressed points; becomes an InputError that names the file."""
+
+
+def is_panic(error: BaseException) -> bool:
+    """Whether a Rust extension panicked: pyo3's exception is no Exception, cannot be imported, and has this name."""
+    return type(error).__name__ == "PanicException"
 
 
 @dataclass(frozen=True)
@@ -101,8 +110,17 @@ def read_table(
         raise LazDamage(
             f"its chunk table says {chunks} chunks, {table - data} bytes hold {point_count} points"
         )
+    if chunks > MOST_CHUNKS:
+        raise LazDamage(f"its chunk table says {chunks} chunks, {MOST_CHUNKS} can be read")
     stream.seek(points_offset)
-    entries = np.asarray(lazrs.read_chunk_table(stream, lazrs.LazVlr(layout.record_data)), dtype=np.int64)
+    try:
+        entries = np.asarray(lazrs.read_chunk_table(stream, lazrs.LazVlr(layout.record_data)), dtype=np.int64)
+    except (lazrs.LazrsError, ValueError, OverflowError) as error:
+        raise LazDamage(f"its chunk table cannot be read ({error})") from error
+    except BaseException as error:
+        if not is_panic(error):
+            raise
+        raise LazDamage(f"its chunk table makes the decoder fail ({error})") from error
     counts, sizes = entries.reshape(-1, 2).T
     counts = _true_counts(layout, counts, point_count)
     sizes = sizes[: counts.size]

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from tiler.errors import InputError
 from tiler.las.headers import AGAIN, LasHeader, refuse
-from tiler.las.laz import LazDamage, LazLayout, check_layers
+from tiler.las.laz import LazDamage, LazLayout, check_layers, is_panic
 
 Records = npt.NDArray[np.void]
 
@@ -32,7 +32,15 @@ NEEDED = (
 EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
 COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
 
+BYTES_AT_ONCE = 1 << 27
+"""Of decoded records: their length is what the header says, up to 64 KiB each."""
+
 _STEP = 1 << 16
+
+
+def rows_at_once(record_length: int, most: int) -> int:
+    """Records to read at once: ``most``, or fewer where they are long."""
+    return max(min(most, BYTES_AT_ONCE // record_length), 1)
 
 
 def record_dtype(point_format: int, record_length: int) -> np.dtype[np.void]:
@@ -46,15 +54,14 @@ def record_dtype(point_format: int, record_length: int) -> np.dtype[np.void]:
 def decoding(path: Path) -> Iterator[None]:
     """Turn whatever a decoder raises about damaged bytes into an InputError that names the file.
 
-    A Rust extension that panics raises pyo3's PanicException, a BaseException that is no Exception; it
-    cannot be imported and is known by its name. KeyboardInterrupt and SystemExit go through.
+    That includes the panic of a Rust extension; KeyboardInterrupt and SystemExit go through.
     """
     try:
         yield
     except (LazDamage, lazrs.LazrsError, OSError, ValueError, RuntimeError, OverflowError) as error:
         refuse(path, f"its points cannot be decoded ({_line(error)})", AGAIN)
     except BaseException as error:
-        if type(error).__name__ != "PanicException":
+        if not is_panic(error):
             raise
         refuse(path, f"its points make the decoder fail ({_line(error)})", AGAIN)
 
@@ -158,8 +165,9 @@ class PointReader:
         return lazrs.LasZipDecompressor(io.BufferedReader(view), layout.record_data, selection), before
 
     def _skip(self, count: int) -> None:
+        most = rows_at_once(self.header.record_length, _STEP)
         while count > 0:
-            step = min(_STEP, count)
+            step = min(most, count)
             self._decoder.decompress_many(bytearray(step * self.header.record_length))
             count -= step
 
@@ -217,7 +225,7 @@ def count_decodable(header: LasHeader) -> int:
     """Points of the whole chunks that can be decoded, for a file whose chunks cannot be walked."""
     if header.laz is None or not header.laz.rebuilt or header.laz.sizes.size:
         return header.point_count
-    step = header.laz.chunk_size or _STEP
+    step = rows_at_once(header.record_length, header.laz.chunk_size or _STEP)
     found = 0
     with PointReader(header, COORDINATES) as reader:
         while found < header.point_count:

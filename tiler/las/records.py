@@ -14,6 +14,9 @@ LASZIP_USER = "laszip encoded"
 LASZIP_RECORD = 22204
 COPC_USER = "copc"
 
+MOST_RECORDS = 10_000
+"""In one file; more of them, empty ones, would fit into a large file than their list into memory."""
+
 
 @dataclass(frozen=True)
 class VariableRecord:
@@ -59,12 +62,12 @@ def walk_records(
 ) -> tuple[tuple[VariableRecord, ...], bool]:
     """The records from ``start`` that fit before ``end``, and whether all ``count`` of them did.
 
-    Only the records' own headers are read, and never more of them than there is room for.
+    Only the records' own headers are read, never more of them than there is room for, nor than `MOST_RECORDS`.
     """
     form = _EVLR if extended else _VLR
     found: list[VariableRecord] = []
     position = start
-    for _ in range(count):
+    for _ in range(min(count, MOST_RECORDS)):
         if position + form.size > end:
             return tuple(found), False
         stream.seek(position)
@@ -75,4 +78,4 @@ def walk_records(
         name = user.split(b"\0")[0].decode("ascii", "replace")
         found.append(VariableRecord(name, record_id, position, payload, length))
         position = payload + length
-    return tuple(found), True
+    return tuple(found), count <= MOST_RECORDS

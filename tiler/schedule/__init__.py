@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+from tiler.schedule.guard import Died, Guard
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import Executor, Outcome, Perform, Task, Work, digest_of
 
-__all__ = ["Executor", "Outcome", "Perform", "SerialExecutor", "Task", "Work", "digest_of", "make_executor"]
+__all__ = [
+    "Died",
+    "Executor",
+    "Guard",
+    "Outcome",
+    "Perform",
+    "SerialExecutor",
+    "Task",
+    "Work",
+    "digest_of",
+    "make_executor",
+]
 
 
 def make_executor(workers: int, address: str | None = None) -> Executor:

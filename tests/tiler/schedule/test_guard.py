@@ -1,0 +1,72 @@
+"""A child that dies costs one call."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import psutil
+import pytest
+
+from tests.tiler.schedule import calls
+from tiler.errors import InputError
+from tiler.schedule import Died, Guard
+
+SECONDS = 30.0
+
+
+@pytest.fixture(scope="module")
+def guard() -> Iterator[Guard]:
+    with Guard(memory_bytes=1 << 30) as guard:
+        yield guard
+
+
+def test_one_child_answers_all_calls(guard: Guard) -> None:
+    assert [guard.call(calls.double, i, seconds=SECONDS) for i in range(50)] == list(range(0, 100, 2))
+    first = guard.call(calls.pid, seconds=SECONDS)
+    assert first == guard.call(calls.pid, seconds=SECONDS) != os.getpid()
+
+
+def test_errors_are_those_of_the_call(guard: Guard) -> None:
+    child = guard.call(calls.pid, seconds=SECONDS)
+    with pytest.raises(InputError, match="cloud.las: no good"):
+        guard.call(calls.fail, "cloud.las: no good", seconds=SECONDS)
+    assert guard.call(calls.pid, seconds=SECONDS) == child
+
+
+@pytest.mark.parametrize(
+    ("work", "arguments", "seconds", "fate"),
+    [
+        (calls.crash, (), SECONDS, r"crashed \(SIGSEGV\)"),
+        (calls.abort, (), SECONDS, r"crashed \(SIGABRT\)"),
+        (calls.leave, (), SECONDS, r"crashed \(exit code 7\)"),
+        (calls.sleep, (), 0.5, r"did not end within 0\.5 s"),
+        (calls.hang_with_the_lock, (), 0.5, r"did not end within 0\.5 s"),
+        (calls.allocate, (4,), SECONDS, "needs more than the 1024 MiB"),
+    ],
+)
+def test_a_child_that_dies_is_replaced(
+    guard: Guard, work: Callable[..., Any], arguments: tuple[Any, ...], seconds: float, fate: str
+) -> None:
+    with pytest.raises(Died, match=f"^{fate}"):
+        guard.call(work, *arguments, seconds=seconds)
+    assert guard.call(calls.double, 21, seconds=SECONDS) == 42
+
+
+def test_a_panic_comes_back_as_an_exception(guard: Guard) -> None:
+    with pytest.raises(RuntimeError, match="Panic: cannot be unpickled"):
+        guard.call(calls.panic, seconds=SECONDS)
+
+
+def test_what_libraries_print_does_not_come_between(guard: Guard) -> None:
+    assert guard.call(calls.chatter, seconds=SECONDS) == "answer"
+    assert guard.call(calls.double, 1, seconds=SECONDS) == 2
+
+
+def test_no_child_without_a_call_and_none_is_left_behind() -> None:
+    before = len(psutil.Process().children())
+    with Guard() as guard:
+        assert len(psutil.Process().children()) == before
+        child = psutil.Process(guard.call(calls.pid, seconds=SECONDS))
+    assert not child.is_running()

@@ -1,0 +1,138 @@
+"""Where the points of a file lie: the bounds of its header, held against its points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.errors import InputError
+from tiler.las.headers import LasHeader
+from tiler.las.reader import COORDINATES, PointReader, Records, rows_at_once
+
+_PLACES = 8
+_SAMPLE = 2048
+_SCAN = 1 << 19
+_WIDEST = 1e6
+"""Units of a credible extent: from anywhere within it, int32 counts reach all of it."""
+_COORDINATE = 9e12
+"""Beyond this nothing is a coordinate, see `tiler.ingest.requantise.BEYOND`."""
+
+FAR = 1000.0
+"""Units of the CRS across which a point is far from another."""
+_TIMES = 4
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Bounds that a plan can be made with.
+
+    Attributes
+    ----------
+    bounds : tuple of 6 float or None
+        Lowest x, y, z, highest x, y, z in units of the CRS; None where there are no points.
+    claimed : bool
+        They are the header's, and a sample of the points lies inside: a point outside of them is a stray.
+    note : str or None
+        What people should know.
+    """
+
+    bounds: tuple[float, ...] | None
+    claimed: bool
+    note: str | None = None
+
+
+def find_extent(header: LasHeader) -> Extent:
+    """The bounds of a file.
+
+    The header's where a sample of points lies inside, else those of all points. Where they reach so far beyond
+    the sample that there must be strays, or emptiness, they end with the sample: a plan made with them
+    would be one for an area without points.
+
+    Raises
+    ------
+    InputError
+        The points cannot be decoded, or none has finite coordinates.
+    """
+    if header.point_count == 0:
+        return Extent(None, False)
+    with PointReader(header, COORDINATES) as reader:
+        last = header.point_count - 1
+        starts = sorted({_chunk_start(header, last * i // (_PLACES - 1)) for i in range(_PLACES)})
+        near = _Hull.of(header, (reader.read(s, min(_SAMPLE, header.point_count - s)) for s in starts))
+        claim = _Hull(np.array(header.mins), np.array(header.maxs))
+        note = None
+        claimed = bool(np.all(claim.high - claim.low <= _WIDEST)) and claim.holds(near, header.scales)
+        if not claimed:
+            step = rows_at_once(header.record_length, _SCAN)
+            blocks = range(0, header.point_count, step)
+            claim = _Hull.of(header, (reader.read(s, min(step, header.point_count - s)) for s in blocks))
+            note = "its points lie outside the bounds that its header gives: read from the points"
+    if not np.all(np.isfinite(claim.low)):
+        raise InputError(
+            f"{header.path}: not one of its {header.point_count} points has a finite place; get the file again"
+        )
+    trimmed = claim.trimmed(near)
+    if trimmed is not None:
+        claim = trimmed
+        note = "a few of its points, or the bounds of its header, lie far from all others: the plan leaves them out"
+    return Extent((*claim.low.tolist(), *claim.high.tolist()), claimed, note)
+
+
+@dataclass(frozen=True)
+class _Hull:
+    """Lowest and highest x, y, z, float64, shape (3,) each; infinite where there is no point."""
+
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, header: LasHeader, blocks: Iterable[Records]) -> _Hull:
+        """Of some records; coordinates that are none are left out."""
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for block in blocks:
+            for axis, name in enumerate("XYZ"):
+                scale, offset = header.scales[axis], header.offsets[axis]
+                values = block[name]
+                with np.errstate(over="ignore", invalid="ignore"):
+                    ends = np.array([int(values.min()), int(values.max())]) * scale + offset
+                    if not np.all(np.abs(ends) < _COORDINATE):
+                        places = values.astype(np.float64) * scale + offset
+                        places = places[np.abs(places) < _COORDINATE]
+                        if places.size == 0:
+                            continue
+                        ends = np.array([places.min(), places.max()])
+                low[axis], high[axis] = min(low[axis], ends[0]), max(high[axis], ends[1])
+        return cls(low, high)
+
+    def holds(self, other: _Hull, tolerance: Sequence[float]) -> bool:
+        """Whether another one lies inside, but for rounding."""
+        inside = np.all(other.low >= self.low - tolerance) and np.all(other.high <= self.high + tolerance)
+        return bool(inside)
+
+    def trimmed(self, near: _Hull) -> _Hull | None:
+        """The same, ending in x and y where ``near`` does if it reaches far beyond; None if it does not."""
+        if not np.all(np.isfinite(near.low)):
+            return None
+        allowed = FAR + _TIMES * float(max(near.high[:2] - near.low[:2]))
+        west, east = self.low < near.low - allowed, self.high > near.high + allowed
+        west[2] = east[2] = False
+        if not (west.any() or east.any()):
+            return None
+        return _Hull(np.where(west, near.low, self.low), np.where(east, near.high, self.high))
+
+
+def _chunk_start(header: LasHeader, point: int) -> int:
+    """The first point of the chunk that holds ``point``, from where decoding it costs least."""
+    layout = header.laz
+    if layout is None:
+        return point
+    if layout.chunk_size is not None:
+        return point // layout.chunk_size * layout.chunk_size
+    ends = np.cumsum(layout.counts)
+    chunk = int(np.searchsorted(ends, point, side="right"))
+    return int(ends[chunk] - layout.counts[chunk])
