@@ -1,0 +1,198 @@
+"""The scorecard's cells as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from statistics import mean, median
+from typing import TYPE_CHECKING
+
+from tests.benchmarks.published import MEANS, PER_SAMPLE, RMSES
+
+if TYPE_CHECKING:
+    from tests.benchmarks.scorecard import Cell
+
+HEAD = """# Scorecard
+
+Every filter with its defaults, one setting for all scenes, against labels of which it saw none. Class 2 is ground,
+all others are objects, but for those left out of the count: noise (7, 18), water (9), bridges (17, 26), a producer's
+virtual points and artefacts (64 to 67). Type I: ground that was lost. Type II: objects taken for ground. Total: both,
+of all points. Kappa: Cohen's. All in percent.
+
+Made by `python tests/benchmarks/scorecard.py docs/scorecard.md`: one pinned core, kernels compiled, CPU time of the
+fastest of {repeats} runs from points in memory to labels in memory; memory is what a run took above its input at its
+peak.
+"""
+
+
+ERRORS = "Type I / type II / total / kappa"
+
+
+def markdown(cells: Sequence[Cell], reference: str, repeats: int) -> str:
+    """The whole document.
+
+    Parameters
+    ----------
+    cells : sequence of Cell
+    reference : str
+        The method whose time the others' are compared with.
+    repeats : int
+        Timed runs of each.
+    """
+    families = list(dict.fromkeys(cell.family for cell in cells))
+    parts = [
+        HEAD.format(repeats=repeats),
+        "## Means over the scenes of a class\n",
+        _means(cells, families),
+    ]
+    for family in families:
+        parts += [f"## {_capital(family)}\n", _scenes([c for c in cells if c.family == family])]
+    parts += ["## Speed and memory\n", _speed(cells, families, reference)]
+    refusals = {(c.method, c.refusal): c for c in cells if c.refusal is not None}
+    if refusals:
+        parts += ["## What refused, and why\n", _refusals(cells)]
+    parts += ["## Published figures\n", _published()]
+    return "\n".join(parts)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table; the first column left, the others right."""
+    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def percent(value: float | None) -> str:
+    """A fraction in percent."""
+    return "-" if value is None else f"{100 * value:.2f}"
+
+
+def _capital(text: str) -> str:
+    return text[0].upper() + text[1:]
+
+
+def _methods(cells: Sequence[Cell]) -> list[str]:
+    return list(dict.fromkeys(cell.method for cell in cells))
+
+
+def _mean(cells: Sequence[Cell], key: str) -> float | None:
+    """The mean of a figure over cells that have it; None unless all scenes gave a result."""
+    if not cells or any(cell.refusal is not None for cell in cells):
+        return None
+    values = [value for cell in cells if (value := getattr(cell, key)) is not None]
+    return mean(values) if values else None
+
+
+def _means(cells: Sequence[Cell], families: Sequence[str]) -> str:
+    """Mean errors of each method in each class."""
+    rows = []
+    for method in _methods(cells):
+        row = [method]
+        for family in families:
+            own = [c for c in cells if (c.method, c.family) == (method, family)]
+            refused = sum(c.refusal is not None for c in own)
+            if refused:
+                row.append(f"refused {refused} of {len(own)}")
+            else:
+                row.append(" / ".join(percent(_mean(own, k)) for k in ("type_1", "type_2", "total", "kappa")))
+        rows.append(row)
+    count = {f: len({c.scene for c in cells if c.family == f}) for f in families}
+    return f"{ERRORS}.\n\n" + table(["method", *(f"{f} ({count[f]})" for f in families)], rows)
+
+
+def _scenes(cells: Sequence[Cell]) -> str:
+    """Every scene of a class."""
+    methods = _methods(cells)
+    rows = []
+    for scene in dict.fromkeys(cell.scene for cell in cells):
+        own = {c.method: c for c in cells if c.scene == scene}
+        rows.append([f"{scene}, {own[methods[0]].points:,} points", *(_cell(own[m]) for m in methods)])
+    known = any(cell.dtm_rmse_m is not None for cell in cells)
+    note = ERRORS + (", RMSE of the DTM at 1 m" if known else "") + ".\n\n"
+    return note + table(["scene", *methods], rows)
+
+
+def _cell(cell: Cell) -> str:
+    if cell.refusal is not None:
+        return "refused"
+    text = " / ".join(percent(v) for v in (cell.type_1, cell.type_2, cell.total, cell.kappa))
+    return text if cell.dtm_rmse_m is None else f"{text}, {cell.dtm_rmse_m:.3f} m"
+
+
+def _speed(cells: Sequence[Cell], families: Sequence[str], reference: str) -> str:
+    """Points a second, time beside the reference's on the same scenes, bytes a point: medians over the scenes."""
+    own_time = {c.scene: c.seconds for c in cells if c.method == reference}
+    kinds: tuple[tuple[str, Callable[[Cell], float | None]], ...] = (
+        ("M points/s", lambda c: c.points / c.seconds / 1e6 if c.seconds else None),
+        (f"x time of {reference}", lambda c: _over(c.seconds, own_time.get(c.scene))),
+        ("bytes a point", lambda c: _over(c.peak_bytes, c.points)),
+    )
+    rows = []
+    for method in _methods(cells):
+        row = [method]
+        for family in families:
+            own = [c for c in cells if (c.method, c.family) == (method, family) and c.refusal is None]
+            figures = []
+            for _, figure in kinds:
+                values = [v for cell in own if (v := figure(cell)) is not None]
+                figures.append(f"{median(values):.3g}" if values else "-")
+            row.append(" / ".join(figures))
+        rows.append(row)
+    return " / ".join(name for name, _ in kinds) + ".\n\n" + table(["method", *families], rows)
+
+
+def _over(part: float | None, whole: float | None) -> float | None:
+    return part / whole if part is not None and whole else None
+
+
+def _refusals(cells: Sequence[Cell]) -> str:
+    """The reasons, with the scenes where they were given."""
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for cell in cells:
+        if cell.refusal is not None:
+            reasons.setdefault((cell.method, cell.refusal), []).append(cell.scene)
+    return (
+        "\n".join(
+            f"- `{method}` on {', '.join(scenes)}: {text}" for (method, text), scenes in reasons.items()
+        )
+        + "\n"
+    )
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _published() -> str:
+    """Figures of others, as printed."""
+    samples = list(PER_SAMPLE[0].samples)
+    per_sample = [
+        [entry.name, *(" / ".join(_number(v) for v in entry.samples[s]) for s in samples),
+         _number(mean(total for _, _, total in entry.samples.values()))]
+        for entry in PER_SAMPLE
+    ]  # fmt: skip
+    means = [
+        [
+            m.name,
+            m.data,
+            _number(m.type_1),
+            _number(m.type_2),
+            _number(m.total),
+            _number(m.kappa, 1),
+            m.source,
+        ]
+        for m in MEANS
+    ]
+    rmses = [
+        [r.name, r.data, _number(r.residential, 3), _number(r.mountain, 3), _number(r.both, 3), r.source]
+        for r in RMSES
+    ]
+    return "\n".join((
+        "None of these was measured by this script: they are printed in the papers, on their authors' data, or were "
+        "measured earlier where it says so.\n",
+        "Type I / type II / total of the ISPRS samples that are open here, and the mean total:\n",
+        table(["published", *samples, "mean"], per_sample),
+        "Sources: " + "; ".join(dict.fromkeys(f"{entry.name}: {entry.source}" for entry in PER_SAMPLE)) + ".\n",
+        "Means:\n",
+        table(["published", "data", "type I", "type II", "total", "kappa", "source"], means),
+        "RMSE of DTMs, m:\n",
+        table(["published", "data", "residential", "mountain", "all", "source"], rmses),
+    ))  # fmt: skip

@@ -1,0 +1,92 @@
+"""The scorecard of two tiny scenes: true figures in every table, refusals with their reason."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.benchmarks import scorecard
+from tests.benchmarks.published import PER_SAMPLE
+from tests.benchmarks.scorecard_scenes import BenchScene, Cloud, read_clouds
+from tests.benchmarks.scorecard_text import table
+
+
+def plain() -> Cloud:
+    """A plane with a house, noise and water."""
+    rng = np.random.default_rng(1)
+    xyz = np.column_stack((rng.uniform(0, 60, (3000, 2)), rng.normal(0, 0.03, 3000)))
+    classes = np.full(3000, 2, np.uint8)
+    house = np.all(np.abs(xyz[:, :2] - 30) < 5, axis=1)
+    xyz[house, 2] += 6
+    classes[house] = 6
+    classes[:5] = 7
+    classes[5:9] = 9
+    return Cloud(xyz, classes, truth=lambda x, y: np.full(np.shape(x), 0.1), side_m=60.0)
+
+
+SCENES = [BenchScene("house", "tiny", plain), BenchScene("again", "tiny", plain)]
+
+
+def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: object) -> None:
+    def refuses(cloud: Cloud) -> np.ndarray:
+        raise ValueError("needs rgb")
+
+    def everything(cloud: Cloud) -> np.ndarray:
+        return np.ones(len(cloud.xyz), bool)
+
+    own = scorecard.all_filters()["classic"]
+    filters = {"classic": own, "all": everything, "picky": refuses}
+    monkeypatch.setattr(scorecard, "all_filters", lambda: filters)
+    monkeypatch.setattr("os.sched_setaffinity", lambda *_: None, raising=False)
+    arguments = [str(tmp_path / "card.md"), "--json", str(tmp_path / "card.json"), "--repeats", "1"]
+    scorecard.main(arguments, SCENES)
+    cells = json.loads((tmp_path / "card.json").read_text())
+    assert [(c["method"], c["scene"]) for c in cells] == [(m, s.name) for s in SCENES for m in filters]
+    best, worst, none = cells[:3]
+    assert best["total"] < 0.01
+    assert best["seconds"] > 0
+    assert best["dtm_rmse_m"] == pytest.approx(0.1, abs=0.02)  # the plane is at 0, its truth at 0.1
+    assert worst["dtm_rmse_m"] > 0.9  # the house stands in it
+    truth = plain().classification
+    house, ground = (truth == 6).sum(), (truth == 2).sum()
+    assert (worst["type_1"], worst["type_2"]) == (0.0, 1.0)
+    assert worst["total"] == house / (house + ground)  # noise and water do not count
+    assert (none["refusal"], none["total"], none["seconds"]) == ("needs rgb", None, None)
+    text = (tmp_path / "card.md").read_text()
+    share = f"0.00 / 100.00 / {100 * house / (house + ground):.2f} / 0.00"
+    assert text.count(share) == 3  # both scenes and their mean
+    assert f"{share}, {worst['dtm_rmse_m']:.3f} m" in text
+    assert "refused 2 of 2" in text
+    assert "- `picky` on house, again: needs rgb" in text
+    assert "28.21" in text  # published
+
+
+def test_every_method_is_a_filter() -> None:
+    from ptd.methods import METHODS
+
+    names = list(scorecard.all_filters())
+    assert names[0] == "classic"
+    assert set(METHODS) <= set(names)
+
+
+def test_published_samples_are_those_that_are_open() -> None:
+    from tests.benchmarks.scorecard_scenes import ISPRS
+
+    for entry in PER_SAMPLE:
+        assert list(entry.samples) == [f"samp{n}" for n in ISPRS]
+
+
+def test_tables_are_markdown() -> None:
+    assert table(["a", "b"], [["x", "1"]]) == "| a | b |\n| --- | ---: |\n| x | 1 |\n"
+
+
+def test_virtual_points_are_no_part_of_a_scene(shared_data: Path) -> None:
+    path = shared_data / "ign/test_semis_2023_0292_6833.laz"
+    cloud = read_clouds([path])
+    assert len(cloud.xyz) == len(cloud.classification) == 289_055 - 12
+    assert 66 not in cloud.classification
+    assert cloud.returns is not None
+    assert (cloud.returns[:, 0] <= cloud.returns[:, 1]).all()
