@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Int64
+from ptd.cells import Int32, Int64, cell_keys
 from ptd.certify import UInt8
 from ptd.criteria import Limits, across, facet_measures, judge
+from ptd.frame import Cells
 from ptd.kernel import kernel, wide
+from ptd.passes import Points
 from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
 from ptd.tin.mesh import Tin
@@ -154,19 +156,75 @@ def label_points(
 
 
 class LowNoise:
-    """Where low outliers were found: points of the same cell that are not higher are low noise as well."""
+    """Where low outliers were found: points of the same cell that are not higher are low noise as well.
 
-    def __init__(self, keys: Int64, heights: Int32) -> None:
-        order = np.lexsort((-heights.astype(np.int64), keys))
-        keys, heights = keys[order], heights[order]
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        The outliers, local counts.
+    cells : Cells
+        Of which the lowest points were looked at.
+    """
+
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
+        self._cells = cells
+        keys = self._keys(x, y)
+        order = np.lexsort((-z.astype(np.int64), keys))
+        keys, heights = keys[order], z[order]
         first = np.ones(keys.size, np.bool_)
         first[1:] = keys[1:] != keys[:-1]
-        self.keys, self.heights = keys[first], heights[first]
+        self._cell_keys, self._heights = keys[first], heights[first]
 
-    def holds(self, keys: Int64, z: Int32) -> npt.NDArray[np.bool_]:
-        """Whether points, given by cell key and height, are low noise."""
-        if self.keys.size == 0:
-            return np.zeros(keys.size, np.bool_)
-        place = np.minimum(np.searchsorted(self.keys, keys), self.keys.size - 1)
-        found: npt.NDArray[np.bool_] = (self.keys[place] == keys) & (z <= self.heights[place])
+    def holds(self, x: Int32, y: Int32, z: Int32) -> npt.NDArray[np.bool_]:
+        """Whether points are low noise: bool [n]."""
+        if self._cell_keys.size == 0:
+            return np.zeros(z.size, np.bool_)
+        keys = self._keys(x, y)
+        place = np.minimum(np.searchsorted(self._cell_keys, keys), self._cell_keys.size - 1)
+        found: npt.NDArray[np.bool_] = (self._cell_keys[place] == keys) & (z <= self._heights[place])
         return found
+
+    def _keys(self, x: Int32, y: Int32) -> Int64:
+        c = self._cells
+        col0, row0 = c.column(0), c.row(0)
+        return cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, col0, row0, 1 << 32)
+
+
+class Terrain:
+    """A finished TIN that tells ground from the rest.
+
+    Parameters
+    ----------
+    tin : Tin
+        As it stays.
+    in_doubt : uint8 [triangles]
+        See `ptd.certify.Doubt.triangles`.
+    low : LowNoise
+    limits : Limits
+    floor : float
+        See `label_points`.
+    vertices_only : bool
+        See `label_points`.
+    """
+
+    def __init__(
+        self,
+        tin: Tin,
+        in_doubt: UInt8,
+        low: LowNoise,
+        limits: Limits,
+        floor: float,
+        vertices_only: bool = False,
+    ) -> None:
+        self.tin, self._in_doubt, self._low, self._limits = tin, in_doubt, low, limits
+        self._floor, self._vertices_only = floor, vertices_only
+        self._locator = Locator(tin)
+
+    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+        """ASPRS classes (uint8 [n]) and marks (bool [n]) of points, in any order."""
+        x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
+        labels, marked = label_points(
+            self.tin, self._locator, x, y, z, self._in_doubt, self._limits, self._floor, self._vertices_only
+        )
+        labels[(labels != GROUND) & self._low.holds(x, y, z)] = LOW_NOISE
+        return labels, marked

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from fractions import Fraction
+
 import numpy as np
 import numpy.typing as npt
 
@@ -98,3 +101,8 @@ def low_outliers(
         x, y, z, index.slots, index.keys, index.starts, index.order, index.width, index.height,
         columns, rows, reach, radius, scale.counts_z(depth_m), group,
     )  # fmt: skip
+
+
+def search_margin(radius_m: float, group: int, cell_m: float) -> int:
+    """Cells of the lattice whose lowest points are looked at that hold the radius of the search; 0 without one."""
+    return math.ceil(Fraction(repr(float(radius_m))) / Fraction(repr(float(cell_m)))) if group else 0

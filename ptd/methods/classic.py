@@ -34,9 +34,7 @@ point keeps its height; a ring of virtual seeds around the data (001, step 5), n
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -47,12 +45,11 @@ from ptd.certify import Doubt
 from ptd.criteria import Limits
 from ptd.densify import REFUSED, VERTEX, densify
 from ptd.frame import Cells, Scale, Window
-from ptd.labelling import LOW_NOISE, Locator, LowNoise, label_points
-from ptd.outliers import low_outliers
+from ptd.labelling import UNCLASSIFIED, LowNoise, Terrain
+from ptd.outliers import low_outliers, search_margin
 from ptd.params import check, parameter
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.seeds import RING, box_with_ring, choose_seeds
-from ptd.tin.layout import N_TRIANGLES, N_VERTICES
 from ptd.tin.mesh import Tin
 
 AXELSSON = "Axelsson 2000"
@@ -176,16 +173,13 @@ class ClassicModel(Model):
             "low_outliers": 0,
             "vertices": 0,
         }
-        self.tin: Tin | None = None
-        self.low = LowNoise(np.zeros(0, np.int64), np.zeros(0, np.int32))
+        self.terrain: Terrain | None = None
         if x.size:
             self._densify(x, y, z, window)
 
     def _densify(self, x: Int32, y: Int32, z: Int32, window: Window) -> None:
         p, scale = self.params, self.scale
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
-        self._col0, self._row0 = self.cells.column(int(x.min())), self.cells.row(int(y.min()))
-        self.low = LowNoise(self._keys(x[outlier], y[outlier]), z[outlier])
         seed_cells = Cells.of(p.max_building_size_m, scale)
         # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
         known = window.inside(self.cells, _margin_cells(p))
@@ -194,40 +188,24 @@ class ClassicModel(Model):
         state = np.where(outlier, np.uint8(REFUSED), np.uint8(0)).astype(np.uint8)
         state[seeds.chosen] = VERTEX
         first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
-        self.tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
-        _, rounds = densify(self.tin, x, y, z, state, self.limits, p.rounds, doubt)
-        self.in_doubt = doubt.triangles(
-            self.tin.vertex_array, self.tin.triangle_array, int(self.tin.counters[N_TRIANGLES])
-        )
-        self.locator = Locator(self.tin)
-        self.stats.update(
-            rounds=rounds, low_outliers=int(outlier.sum()), vertices=int(self.tin.counters[N_VERTICES])
-        )
-
-    def _keys(self, x: Int32, y: Int32) -> npt.NDArray[np.int64]:
-        c = self.cells
-        return cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, self._col0, self._row0, 1 << 31)
+        tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
+        _, rounds = densify(tin, x, y, z, state, self.limits, p.rounds, doubt)
+        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        low = LowNoise(x[outlier], y[outlier], z[outlier], self.cells)
+        floor = scale.counts(p.label_floor_m) if p.label_pass else 0.0
+        self.terrain = Terrain(tin, in_doubt, low, self.limits, floor, vertices_only=not p.label_pass)
+        self.stats.update(rounds=rounds, low_outliers=int(outlier.sum()), vertices=tin.n_vertices)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Labels and marks of points of the window."""
-        x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
-        if self.tin is None:
-            return np.ones(x.size, np.uint8), np.full(x.size, self._closed)
-        only = not self.params.label_pass
-        floor = 0.0 if only else self.scale.counts(self.params.label_floor_m)
-        labels, marked = label_points(
-            self.tin, self.locator, x, y, z, self.in_doubt, self.limits, floor, only
-        )
-        if self.low.keys.size:
-            labels[(labels != 2) & self.low.holds(self._keys(x, y), z)] = LOW_NOISE
-        return labels, marked
+        if self.terrain is None:
+            n = len(points)
+            return np.full(n, UNCLASSIFIED, np.uint8), np.full(n, self._closed)
+        return self.terrain.label(points)
 
 
 def _margin_cells(params: Classic) -> int:
-    """Thinning cells that hold the radius of the search for low outliers."""
-    if not params.low_group:
-        return 0
-    return math.ceil(Fraction(repr(params.low_radius_m)) / Fraction(repr(params.thin_cell_m or 1.0)))
+    return search_margin(params.low_radius_m, params.low_group, params.thin_cell_m or 1.0)
 
 
 def thinned(candidates: Int32, cell_m: float, scale: Scale) -> tuple[Int32, Int32, Int32]:

@@ -178,7 +178,7 @@ def test_without_the_last_pass_only_vertices_are_ground() -> None:
     params = Classic(label_pass=False)
     model = params.passes[0].fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {})
     got = model.label(Points(cloud))[0] == 2
-    vertices = {tuple(v) for v in model.tin.vertices.tolist()}  # type: ignore[union-attr]
+    vertices = {tuple(v) for v in model.terrain.tin.vertices.tolist()}  # type: ignore[union-attr]
     assert np.array_equal(got, [tuple(p) in vertices for p in cloud.T.tolist()])
     assert 0 < got.mean() < 0.9
 

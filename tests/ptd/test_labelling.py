@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ptd.criteria import Limits
-from ptd.frame import Scale
+from ptd.frame import Cells, Scale
 from ptd.labelling import Locator, LowNoise, label_points
 from ptd.tin.mesh import Tin
 
@@ -92,7 +92,14 @@ def test_no_points_no_labels() -> None:
 
 
 def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
-    low = LowNoise(np.array([5, 9, 5]), np.array([-100, 7, -80], np.int32))
-    keys, z = np.array([5, 5, 5, 9, 9, 4, 6, 10]), np.array([-80, -79, -900, 7, 8, -900, -900, 0], np.int32)
-    assert low.holds(keys, z).tolist() == [True, False, True, True, False, False, False, False]
-    assert not LowNoise(np.zeros(0, np.int64), np.zeros(0, np.int32)).holds(keys, z).any()
+    def columns(*points: tuple[int, int, int]) -> list[np.ndarray]:
+        return list(np.array(points, np.int32).reshape(-1, 3).T)
+
+    cells = Cells.of(1.0, Scale(origin=(-250, 7000)))
+    low = LowNoise(*columns((300, 0, -100), (-800, 5000, 7), (1249, 999, -80)), cells)
+    points = columns(
+        (250, 0, -80), (1249, 999, -79), (700, 500, -900), (-1750, 5999, 7), (-751, 5000, 8), (249, 0, -900),
+        (300, -1, -900), (1250, 0, -900),
+    )  # fmt: skip
+    assert low.holds(*points).tolist() == [True, False, True, True, False, False, False, False]
+    assert not LowNoise(*columns(), cells).holds(*points).any()

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptd.frame import Scale
-from ptd.outliers import low_outliers
+from ptd.outliers import low_outliers, search_margin
 
 FEET = Fraction(3048, 10**7)
 
@@ -109,3 +109,11 @@ def test_the_order_of_the_points_changes_nothing() -> None:
     order = rng.permutation(961)
     assert np.array_equal(find(points[order]), find(points)[order])
     assert find(points).any()
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "group", "cell_m", "cells"),
+    [(5.0, 5, 1.0, 5), (5.0, 0, 1.0, 0), (3.3, 1, 1.0, 4), (3.5, 5, 0.7, 5), (3.6, 5, 0.7, 6)],
+)
+def test_the_margin_holds_the_radius(radius_m: float, group: int, cell_m: float, cells: int) -> None:
+    assert search_margin(radius_m, group, cell_m) == cells
