@@ -42,79 +42,25 @@ import numpy.typing as npt
 
 from ptd.cells import cell_keys, lowest_per_cell
 from ptd.certify import Doubt
-from ptd.criteria import Limits
 from ptd.densify import REFUSED, VERTEX, densify
 from ptd.frame import Cells, Scale, Window
 from ptd.labelling import UNCLASSIFIED, LowNoise, Terrain
-from ptd.outliers import low_outliers, search_margin
-from ptd.params import check, parameter
+from ptd.methods.progressive import Progressive
+from ptd.outliers import low_outliers
+from ptd.params import parameter
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.seeds import RING, box_with_ring, choose_seeds
 from ptd.tin.mesh import Tin
 
-AXELSSON = "Axelsson 2000"
-
 
 @dataclass(frozen=True)
-class Classic:
+class Classic(Progressive):
     """Parameters of `classic`; see the module's table."""
 
-    max_building_size_m: float = parameter(
-        20.0, "side of the cells whose lowest point is a seed: the largest building", unit="m",
-        minimum=1.0, maximum=1000.0, source="000 2.1, 003 4.2",
-    )  # fmt: skip
-    terrain_angle_deg: float = parameter(
-        88.0, "steepest terrain; on steeper facets a point is tested mirrored through their highest corner", unit="deg",
-        minimum=1.0, maximum=90.0, source="000 2.1",
-    )  # fmt: skip
-    iteration_angle_deg: float = parameter(
-        25.0, "largest angle between a facet and the line from a point to its nearest corner", unit="deg",
-        minimum=0.1, maximum=89.0, source=AXELSSON,
-    )  # fmt: skip
-    iteration_distance_m: float = parameter(
-        1.4,
-        "largest distance of a point to its facet",
-        unit="m",
-        minimum=0.01,
-        maximum=100.0,
-        source=AXELSSON,
-    )
-    edge_length_reduce_m: float = parameter(
-        5.0, "L1: the iteration angle shrinks on facets with shorter edges; 0: never", unit="m", minimum=0.0,
-        maximum=1000.0, source="000 2.3",
-    )  # fmt: skip
-    edge_length_stop_m: float = parameter(
-        0.0, "L2: facets with shorter edges take no more vertices; 0: all do", unit="m", minimum=0.0,
-        maximum=1000.0, source="000 2.3",
-    )  # fmt: skip
     rounds: int = parameter(8, "rounds of densification; 0: until nothing passes", minimum=0, maximum=1000)
-    thin_cell_m: float = parameter(
-        1.0, "only the lowest point of a cell of this side can become a vertex; 0: every point", unit="m",
-        minimum=0.0, maximum=100.0, source="003 3.3",
-    )  # fmt: skip
-    low_radius_m: float = parameter(
-        5.0, "low outliers: radius of the search", unit="m", minimum=1.0, maximum=50.0
-    )
-    low_depth_m: float = parameter(
-        4.0, "low outliers: so far below everything within the radius but their own group", unit="m",
-        minimum=0.1, maximum=100.0,
-    )  # fmt: skip
-    low_group: int = parameter(
-        5, "low outliers: candidates in a group at most; 0: no search", minimum=0, maximum=1000
-    )
     label_pass: bool = parameter(
         True, "points near the finished TIN become ground too, not only its vertices"
     )
-    label_floor_m: float = parameter(
-        0.3,
-        "last pass: closer to the TIN a point is ground at any angle",
-        unit="m",
-        minimum=0.0,
-        maximum=10.0,
-    )
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def passes(self) -> tuple[ClassicPass, ...]:
@@ -125,16 +71,6 @@ class Classic:
     def halo_m(self) -> float:
         """Two seed cells for the first TIN's circles, 8 m for each round: measured to certify most tiles of a city."""
         return 2.0 * self.max_building_size_m + 8.0 * min(self.rounds or 30, 30)
-
-    @property
-    def align_m(self) -> float:
-        """Windows hold whole seed cells."""
-        return self.max_building_size_m
-
-    @property
-    def margin_m(self) -> float:
-        """What lies around the whole cells of a window still decides on outliers within them."""
-        return _margin_cells(self) * (self.thin_cell_m or 1.0)
 
     @property
     def candidate_cell_m(self) -> float:
@@ -160,11 +96,8 @@ class ClassicModel(Model):
     def __init__(self, params: Classic, candidates: Int32, window: Window, scale: Scale) -> None:
         self.params, self.scale = params, scale
         p = params
-        self.limits = Limits.of(
-            scale, distance_m=p.iteration_distance_m, angle_deg=p.iteration_angle_deg,
-            terrain_deg=p.terrain_angle_deg, reduce_m=p.edge_length_reduce_m, stop_m=p.edge_length_stop_m,
-        )  # fmt: skip
-        self.cells = Cells.of(p.thin_cell_m or 1.0, scale)
+        self.limits = p.limits(scale)
+        self.cells = Cells.of(p.low_cell_m, scale)
         self._closed = window.closed
         x, y, z = thinned(candidates, p.thin_cell_m, scale)
         self.stats: dict[str, Any] = {
@@ -182,7 +115,7 @@ class ClassicModel(Model):
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
         seed_cells = Cells.of(p.max_building_size_m, scale)
         # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
-        known = window.inside(self.cells, _margin_cells(p))
+        known = window.inside(self.cells, p.margin_cells)
         doubt = Doubt(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
         seeds = choose_seeds(x, y, z, ~outlier, seed_cells, doubt)
         state = np.where(outlier, np.uint8(REFUSED), np.uint8(0)).astype(np.uint8)
@@ -202,10 +135,6 @@ class ClassicModel(Model):
             n = len(points)
             return np.full(n, UNCLASSIFIED, np.uint8), np.full(n, self._closed)
         return self.terrain.label(points)
-
-
-def _margin_cells(params: Classic) -> int:
-    return search_margin(params.low_radius_m, params.low_group, params.thin_cell_m or 1.0)
 
 
 def thinned(candidates: Int32, cell_m: float, scale: Scale) -> tuple[Int32, Int32, Int32]:

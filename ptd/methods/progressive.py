@@ -1,0 +1,97 @@
+"""Parameters that the methods of progressive densification share; each method's table says where it differs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ptd.criteria import Limits
+from ptd.frame import Scale
+from ptd.outliers import search_margin
+from ptd.params import check, parameter
+
+AXELSSON = "Axelsson 2000"
+
+
+@dataclass(frozen=True)
+class Progressive:
+    """Outliers, seeds, facet test and final labelling."""
+
+    max_building_size_m: float = parameter(
+        20.0, "side of the cells whose lowest point is a seed: the largest building", unit="m",
+        minimum=1.0, maximum=1000.0, source="000 2.1, 003 4.2",
+    )  # fmt: skip
+    terrain_angle_deg: float = parameter(
+        88.0, "steepest terrain; on steeper facets a point is tested mirrored through their highest corner", unit="deg",
+        minimum=1.0, maximum=90.0, source="000 2.1",
+    )  # fmt: skip
+    iteration_angle_deg: float = parameter(
+        25.0, "largest angle between a facet and the line from a point to its nearest corner", unit="deg",
+        minimum=0.1, maximum=89.0, source=AXELSSON,
+    )  # fmt: skip
+    iteration_distance_m: float = parameter(
+        1.4,
+        "largest distance of a point to its facet",
+        unit="m",
+        minimum=0.01,
+        maximum=100.0,
+        source=AXELSSON,
+    )
+    edge_length_reduce_m: float = parameter(
+        5.0, "L1: the iteration angle shrinks on facets with shorter edges; 0: never", unit="m", minimum=0.0,
+        maximum=1000.0, source="000 2.3",
+    )  # fmt: skip
+    edge_length_stop_m: float = parameter(
+        0.0, "L2: facets with shorter edges take no more vertices; 0: all do", unit="m", minimum=0.0,
+        maximum=1000.0, source="000 2.3",
+    )  # fmt: skip
+    thin_cell_m: float = parameter(
+        1.0, "only the lowest point of a cell of this side can become a vertex; 0: every point", unit="m",
+        minimum=0.0, maximum=100.0, source="003 3.3",
+    )  # fmt: skip
+    low_radius_m: float = parameter(
+        5.0, "low outliers: radius of the search", unit="m", minimum=1.0, maximum=50.0
+    )
+    low_depth_m: float = parameter(
+        4.0, "low outliers: so far below everything within the radius but their own group", unit="m",
+        minimum=0.1, maximum=100.0,
+    )  # fmt: skip
+    low_group: int = parameter(
+        5, "low outliers: candidates in a group at most; 0: no search", minimum=0, maximum=1000
+    )
+    label_floor_m: float = parameter(
+        0.3,
+        "last pass: closer to the TIN a point is ground at any angle",
+        unit="m",
+        minimum=0.0,
+        maximum=10.0,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def limits(self, scale: Scale) -> Limits:
+        """The facet test's thresholds."""
+        return Limits.of(
+            scale, distance_m=self.iteration_distance_m, angle_deg=self.iteration_angle_deg,
+            terrain_deg=self.terrain_angle_deg, reduce_m=self.edge_length_reduce_m, stop_m=self.edge_length_stop_m,
+        )  # fmt: skip
+
+    @property
+    def align_m(self) -> float:
+        """Windows hold whole seed cells."""
+        return self.max_building_size_m
+
+    @property
+    def low_cell_m(self) -> float:
+        """Cell of whose lowest points the low outliers are found."""
+        return self.thin_cell_m or 1.0
+
+    @property
+    def margin_cells(self) -> int:
+        """Such cells that hold the radius of the search for low outliers."""
+        return search_margin(self.low_radius_m, self.low_group, self.low_cell_m)
+
+    @property
+    def margin_m(self) -> float:
+        """What lies around the whole cells of a window still decides on outliers within them."""
+        return self.margin_cells * self.low_cell_m
