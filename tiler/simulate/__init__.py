@@ -1,12 +1,22 @@
-"""A small simulated city with true labels and its true terrain: formulas, solids and a laser scanner.
+"""Simulated places with true labels and true terrain: formulas, solids, a laser scanner and an image matcher.
 
-``terrain`` (a height by formula) and ``objects`` (solids and crowns on it) make a `Scene`; ``sensor`` shoots
-rays at it; ``city`` and ``scenes`` build scenes; ``demo`` writes files. Knows nothing of filters, stores or runs.
+``terrain`` (a height by formula), ``objects`` (solids, crowns, plants, wires) and ``plot`` (a block of land to put them
+on) make a `Site`; ``sites`` has the kinds of places by name, ``catalogue`` the committed scenes. ``als`` shoots
+pulses at a site, ``dim`` matches images of it, both patch by patch; ``cloud`` writes files, ``demo`` those of the
+demo. Random numbers come from a hash of the seed and the patch's or block's index, so nothing depends on an order.
+Knows nothing of filters, stores or runs.
 """
 
+from tiler.simulate.als import AlsSensor
+from tiler.simulate.catalogue import SCENES, Scene, SceneSpec, make_scene
 from tiler.simulate.demo import DemoScene, demo_city
-from tiler.simulate.scenes import SCENES, scene_points
-from tiler.simulate.sensor import AlsSensor, scan
+from tiler.simulate.dim import DimSensor
+from tiler.simulate.points import Points, survey
+from tiler.simulate.site import Site
+from tiler.simulate.sites import SITES, make_site, scene_points
 from tiler.simulate.terrain import Terrain
 
-__all__ = ["SCENES", "AlsSensor", "DemoScene", "Terrain", "demo_city", "scan", "scene_points"]
+__all__ = [
+    "SCENES", "SITES", "AlsSensor", "DemoScene", "DimSensor", "Points", "Scene", "SceneSpec", "Site", "Terrain",
+    "demo_city", "make_scene", "make_site", "scene_points", "survey",
+]  # fmt: skip

@@ -11,21 +11,28 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import UNCLASSIFIED
+from tiler.simulate.terrain import Line
 
 Floats = npt.NDArray[np.float64]
+
+LOW_VEGETATION, MEDIUM_VEGETATION, HIGH_VEGETATION = 3, 4, 5
 BUILDING = 6
-TREE = 5
+WIRE, TOWER = 14, 15
+BRIDGE = 17
 
 
 @dataclass(frozen=True)
 class Rays:
-    """``n`` rays; all columns float64, shape (n,), metres (``lx``, ``ly``: metres per metre of height)."""
+    """``n`` rays; all columns float64, shape (n,), metres (``lx``, ``ly``: metres per metre of height).
+
+    ``level`` is a height near which most is hit; it only makes searches short.
+    """
 
     ax: Floats
     ay: Floats
     lx: Floats
     ly: Floats
+    level: float = 0.0
 
     def __len__(self) -> int:
         return len(self.ax)
@@ -40,14 +47,24 @@ class Rays:
         return self.ax[index] + self.lx[index] * z, self.ay[index] + self.ly[index] * z
 
     def near(self, x: float, y: float, z: float, radius: float) -> npt.NDArray[np.intp]:
-        """Indices of the rays that pass (x, y) within ``radius`` at height z."""
-        px, py = self.at(np.full(len(self), z))
-        return np.flatnonzero((px - x) ** 2 + (py - y) ** 2 <= radius**2)
+        """Indices, ascending, of the rays that pass (x, y) within ``radius`` at height z."""
+        order, sorted_x = self._from_west
+        shift = radius + self.steepest * abs(z - self.level)
+        index = order[slice(*np.searchsorted(sorted_x, (x - shift, x + shift)))]
+        px, py = self.ax[index] + self.lx[index] * z, self.ay[index] + self.ly[index] * z
+        return np.sort(index[(px - x) ** 2 + (py - y) ** 2 <= radius**2])
+
+    @cached_property
+    def _from_west(self) -> tuple[npt.NDArray[np.intp], Floats]:
+        """Indices from west to east on the level, and the positions x there."""
+        x = self.ax + self.lx * self.level
+        order = np.argsort(x, kind="stable")
+        return order, x[order]
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A box or a gabled house: a convex body, opaque.
+    """A box, a gabled house or a sloping deck: a convex body, opaque.
 
     Attributes
     ----------
@@ -63,6 +80,8 @@ class Solid:
         Rise of the roof per metre across; 0 makes a flat roof.
     label : int
         ASPRS class of its points.
+    tilt : float
+        Rise of underside and top per metre along; ``base`` and ``top`` hold at the centre.
     """
 
     x: float
@@ -74,23 +93,31 @@ class Solid:
     top: float
     pitch: float = 0.0
     label: int = BUILDING
+    tilt: float = 0.0
 
     @property
     def radius(self) -> float:
         """Half of the footprint's diagonal, metres."""
         return float(np.hypot(self.length, self.width) / 2)
 
+    def distance(self, x: float, y: float) -> float:
+        """Metres from a position to the footprint, 0 inside."""
+        along, across = Line(self.x, self.y, self.angle_deg).along_across(np.asarray(x), np.asarray(y))
+        beyond_u, beyond_v = np.abs(along) - self.length / 2, np.abs(across) - self.width / 2
+        return float(np.hypot(np.maximum(beyond_u, 0.0), np.maximum(beyond_v, 0.0)))
+
     def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
         """Which rays meet the body (indices), and at which height they enter it (metres)."""
-        height = self.top - self.base
+        height = self.top - self.base + abs(self.tilt) * self.length / 2
         index = rays.near(self.x, self.y, self.top, self.radius + height * rays.steepest + 0.01)
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         ax, ay = rays.ax[index] - self.x, rays.ay[index] - self.y
         lx, ly = rays.lx[index], rays.ly[index]
         au, av, lu, lv = ax * cos + ay * sin, ay * cos - ax * sin, lx * cos + ly * sin, ly * cos - lx * sin
         # A convex body is an intersection of half-spaces; each bounds z inside the body from above or below.
-        high, low = np.full(len(index), self.top), np.full(len(index), self.base)
-        half_spaces = [(1.0, 0.0, 0.0, self.length / 2), (-1.0, 0.0, 0.0, self.length / 2),
+        high, low = np.full(len(index), np.inf), np.full(len(index), -np.inf)
+        half_spaces = [(-self.tilt, 0.0, 1.0, self.top), (self.tilt, 0.0, -1.0, -self.base),
+                       (1.0, 0.0, 0.0, self.length / 2), (-1.0, 0.0, 0.0, self.length / 2),
                        (0.0, 1.0, 0.0, self.width / 2), (0.0, -1.0, 0.0, self.width / 2)]  # fmt: skip
         if self.pitch:
             half_spaces += [(0.0, self.pitch, 1.0, self.top), (0.0, -self.pitch, 1.0, self.top)]
@@ -110,7 +137,7 @@ class Solid:
 class Crown:
     """The crown of a tree: an ellipsoid that a pulse gets into; metres.
 
-    ``spacing`` is the mean way between two returns in it.
+    ``spacing`` is the mean way between two returns in it, ``stop`` the chance that a return uses up the pulse.
     """
 
     x: float
@@ -119,7 +146,7 @@ class Crown:
     radius: float
     half_height: float
     spacing: float = 1.6
-    label: int = TREE
+    stop: float = 0.3
 
     def chord(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats, Floats]:
         """Which rays meet the crown (indices), and the heights where they enter and leave it (metres)."""
@@ -136,14 +163,70 @@ class Crown:
 
 
 @dataclass(frozen=True)
-class Shrubs:
-    """Low vegetation: within ``radius`` half of the pulses end up to ``height`` above ground; metres."""
+class Patch:
+    """Low vegetation: an ellipse or, if ``square``, a rectangle where plants stand on the ground; metres.
+
+    ``cover`` is the share of pulses that end in them, at heights up to ``height``.
+    """
 
     x: float
     y: float
-    radius: float
+    angle_deg: float
+    length: float
+    width: float
     height: float
-    label: int = UNCLASSIFIED
+    cover: float = 0.5
+    square: bool = False
+
+    @property
+    def radius(self) -> float:
+        """Half of the footprint's diagonal, metres."""
+        return float(np.hypot(self.length, self.width) / 2)
+
+    def inside(self, x: Floats, y: Floats) -> Floats:
+        """Depth inside of the footprint at each position: 1 at the centre, 0 at the edge, negative outside."""
+        along, across = Line(self.x, self.y, self.angle_deg).along_across(x, y)
+        u, v = 2 * along / self.length, 2 * across / self.width
+        return np.asarray(1.0 - (np.maximum(np.abs(u), np.abs(v)) if self.square else np.hypot(u, v)))
+
+
+@dataclass(frozen=True)
+class Wire:
+    """A wire that sags between two points; metres. A pulse within ``reach`` of it leaves a return and goes on."""
+
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    sag: float
+    reach: float = 0.2
+
+    @property
+    def x(self) -> float:
+        """East of the middle, metres."""
+        return (self.start[0] + self.end[0]) / 2
+
+    @property
+    def y(self) -> float:
+        """North of the middle, metres."""
+        return (self.start[1] + self.end[1]) / 2
+
+    @property
+    def radius(self) -> float:
+        """Half of the span, metres."""
+        return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]) / 2)
+
+    def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
+        """Which rays pass the wire (indices), and at which height (metres)."""
+        angle = float(np.degrees(np.arctan2(self.end[1] - self.start[1], self.end[0] - self.start[0])))
+        line = Line(self.x, self.y, angle)
+        index = rays.near(self.x, self.y, self.start[2], self.radius + 10.0)
+        z = np.full(len(index), (self.start[2] + self.end[2]) / 2)
+        for _ in range(4):
+            along, across = line.along_across(*rays.at(z, index))
+            t = along / (2 * self.radius)
+            z = (self.start[2] + self.end[2]) / 2 + (self.end[2] - self.start[2]) * t
+            z = z - self.sag * (1.0 - 4.0 * t**2)
+        met = (np.abs(across) < self.reach) & (np.abs(t) < 0.5)
+        return index[met], z[met]
 
 
 @dataclass(frozen=True)
@@ -152,17 +235,28 @@ class Objects:
 
     solids: tuple[Solid, ...] = ()
     crowns: tuple[Crown, ...] = ()
-    shrubs: tuple[Shrubs, ...] = ()
+    patches: tuple[Patch, ...] = ()
+    wires: tuple[Wire, ...] = ()
 
-    def touching(self, x0: float, y0: float, x1: float, y1: float, reach: float) -> Objects:
-        """Return only those that come within ``reach`` of a box, in the same order; all metres."""
+    def __add__(self, other: Objects) -> Objects:
+        """Both, those of ``other`` last."""
+        return Objects(
+            self.solids + other.solids,
+            self.crowns + other.crowns,
+            self.patches + other.patches,
+            self.wires + other.wires,
+        )
 
-        def near(thing: Solid | Crown | Shrubs) -> bool:
-            far = thing.radius + reach
+    def touching(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
+        """Only those that may reach into a box, in the same order; all metres."""
+
+        def near(thing: Solid | Crown | Patch | Wire) -> bool:
+            far = thing.radius
             return x0 - far <= thing.x <= x1 + far and y0 - far <= thing.y <= y1 + far
 
         return Objects(
             tuple(s for s in self.solids if near(s)),
             tuple(c for c in self.crowns if near(c)),
-            tuple(s for s in self.shrubs if near(s)),
+            tuple(p for p in self.patches if near(p)),
+            tuple(w for w in self.wires if near(w)),
         )

@@ -3,11 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+
+class Feature(Protocol):
+    """Anything that adds to a terrain; `Terrain` sums them."""
+
+    def height_at(self, x: Floats, y: Floats) -> Floats:
+        """Metres that it adds at each position (metres)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Line:
+    """A straight line through (x, y), metres, of direction ``angle_deg`` counter-clockwise from east."""
+
+    x: float
+    y: float
+    angle_deg: float
+
+    def along_across(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Metres from (x, y) of the line along it, and to its left."""
+        cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
+        east, north = x - self.x, y - self.y
+        return east * cos + north * sin, north * cos - east * sin
 
 
 @dataclass(frozen=True)
@@ -23,6 +48,126 @@ class Hill:
         """Metres that the hill adds at each position."""
         squared = (x - self.x) ** 2 + (y - self.y) ** 2
         return np.asarray(self.height * np.exp(squared / (-2.0 * self.radius**2)))
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Rolling land without end: a sum of sines.
+
+    Attributes
+    ----------
+    waves : tuple of (amplitude, east, north, phase)
+        Metres, radians per metre to the east and to the north, radians.
+    """
+
+    waves: tuple[tuple[float, float, float, float], ...]
+
+    @classmethod
+    def random(cls, rng: np.random.Generator, height: float, length: float, count: int = 6) -> Waves:
+        """``count`` waves 0.4 to 1 ``length`` long in any direction, together up to about ``height`` (metres)."""
+        rows = []
+        for _ in range(count):
+            shrink, turn, phase = rng.uniform(0.4, 1.0), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
+            number = 2 * np.pi / (shrink * length)
+            amplitude = height * shrink / count
+            rows.append((amplitude, number * np.cos(turn), number * np.sin(turn), phase))
+        return cls(tuple(rows))
+
+    def height_at(self, x: Floats, y: Floats) -> Floats:
+        """Metres that the waves add at each position."""
+        total = np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
+        for amplitude, east, north, phase in self.waves:
+            total += amplitude * np.sin(east * x + north * y + phase)
+        return total
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """A roof-shaped ridge: sharp crest along a line, even flanks, hipped ends; metres."""
+
+    line: Line
+    height: float
+    half_width: float
+    length: float
+
+    def height_at(self, x: Floats, y: Floats) -> Floats:
+        """Metres that the ridge adds at each position."""
+        along, across = self.line.along_across(x, y)
+        flank = 1.0 - np.abs(across) / self.half_width
+        end = 1.0 + (self.length / 2 - np.abs(along)) / self.half_width
+        return np.asarray(self.height * np.maximum(np.minimum(flank, end), 0.0))
+
+
+@dataclass(frozen=True)
+class Terraces:
+    """``steps`` terraces that rise to the left of a line: flat for ``tread - face``, up ``rise`` within ``face``."""
+
+    line: Line
+    steps: int
+    tread: float
+    rise: float
+    face: float
+
+    def height_at(self, x: Floats, y: Floats) -> Floats:
+        """Metres that the terraces add at each position."""
+        _, across = self.line.along_across(x, y)
+        return np.asarray(self.rise * _stairs(across / self.tread, self.steps, self.face / self.tread))
+
+
+@dataclass(frozen=True)
+class Cliff:
+    """A step of ``height`` within ``width``, up to the left of a line that swings; metres."""
+
+    line: Line
+    height: float
+    width: float
+    swing: float = 0.0
+    period: float = 100.0
+
+    def height_at(self, x: Floats, y: Floats) -> Floats:
+        """Metres that the cliff adds at each position."""
+        along, across = self.line.along_across(x, y)
+        across = across + self.swing * np.sin(2 * np.pi * along / self.period)
+        return np.asarray(self.height * np.clip(across / self.width, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Basin:
+    """A round pit with a flat floor: a quarry with benches or, if ``water``, a pond; metres.
+
+    Attributes
+    ----------
+    x, y, radius : float
+        Centre and outer edge.
+    depth : float
+        Of the floor.
+    wall_width : float
+        From the edge to the floor.
+    benches : int
+        Steps on the way down; each is half bench and half face.
+    water : bool
+        The floor is the surface of water.
+    """
+
+    x: float
+    y: float
+    radius: float
+    depth: float
+    wall_width: float
+    benches: int = 1
+    water: bool = False
+
+    def _inward(self, x: Floats, y: Floats) -> Floats:
+        return np.asarray(self.radius - np.hypot(x - self.x, y - self.y))
+
+    def height_at(self, x: Floats, y: Floats) -> Floats:
+        """Metres that the pit takes away at each position (negative)."""
+        down = _stairs(self._inward(x, y) * self.benches / self.wall_width, self.benches, 0.5)
+        return np.asarray(-self.depth / self.benches * down)
+
+    def wet_at(self, x: Floats, y: Floats) -> Bools:
+        """Whether each position is water."""
+        return np.asarray((self._inward(x, y) > self.wall_width) & self.water)
 
 
 @dataclass(frozen=True)
@@ -42,9 +187,8 @@ class Embankment:
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
         """Metres that the dam adds at each position."""
-        turn = np.radians(self.angle_deg)
-        distance = np.abs((y - self.y) * np.cos(turn) - (x - self.x) * np.sin(turn))
-        down = np.clip((distance - self.crest_width / 2) / self.slope_width, 0.0, 1.0)
+        _, across = Line(self.x, self.y, self.angle_deg).along_across(x, y)
+        down = np.clip((np.abs(across) - self.crest_width / 2) / self.slope_width, 0.0, 1.0)
         return np.asarray(self.height * (1.0 - down))
 
 
@@ -69,6 +213,32 @@ class Bank:
 
 
 @dataclass(frozen=True)
+class River:
+    """A river with a bank on each side along a line that swings; its floor is the surface of the water; metres."""
+
+    line: Line
+    width: float
+    depth: float
+    bank_width: float
+    swing: float = 0.0
+    period: float = 300.0
+
+    def _outside(self, x: Floats, y: Floats) -> Floats:
+        """Metres from the water's edge, negative on the water."""
+        along, across = self.line.along_across(x, y)
+        across = across + self.swing * np.sin(2 * np.pi * along / self.period)
+        return np.asarray(np.abs(across) - self.width / 2)
+
+    def height_at(self, x: Floats, y: Floats) -> Floats:
+        """Metres that the river takes away at each position (negative)."""
+        return np.asarray(-self.depth * (1.0 - np.clip(self._outside(x, y) / self.bank_width, 0.0, 1.0)))
+
+    def wet_at(self, x: Floats, y: Floats) -> Bools:
+        """Whether each position is water."""
+        return np.asarray(self._outside(x, y) < 0.0)
+
+
+@dataclass(frozen=True)
 class Terrain:
     """A tilted plane plus features; all features are summed in their order.
 
@@ -78,13 +248,12 @@ class Terrain:
         Height of the plane at (0, 0), metres.
     slope : (float, float)
         Rise of the plane per metre to the east and to the north.
-    features : tuple
-        `Hill`, `Embankment`, `Bank`, or anything else with ``height_at(x, y)``.
+    features : tuple of Feature
     """
 
     base: float = 100.0
     slope: tuple[float, float] = (0.0, 0.0)
-    features: tuple[Hill | Embankment | Bank, ...] = ()
+    features: tuple[Feature, ...] = ()
 
     def height_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
         """True height of the ground, metres, float64 of the broadcast shape of ``x`` and ``y`` (metres)."""
@@ -93,3 +262,25 @@ class Terrain:
         for feature in self.features:
             height = height + feature.height_at(east, north)
         return np.asarray(height)
+
+    def wet_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Bools:
+        """Whether each position is water, bool of the broadcast shape of ``x`` and ``y`` (metres)."""
+        east, north = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        wet = np.zeros(east.shape, np.bool_)
+        for feature in self.features:
+            if isinstance(feature, River | Basin):
+                wet |= feature.wet_at(east, north)
+        return wet
+
+    def range_around(self, x: float, y: float, radius: float) -> tuple[float, float]:
+        """Lowest and highest ground of a 9 x 9 lattice within ``radius`` of a position; metres."""
+        steps = np.linspace(-radius, radius, 9)
+        heights = self.height_at(x + steps[None, :], y + steps[:, None])
+        return float(heights.min()), float(heights.max())
+
+
+def _stairs(t: Floats, steps: int, face: float) -> Floats:
+    """Stairs of height 1 and length 1 from 0 to ``steps``; the last ``face`` of each length goes up."""
+    t = np.clip(t, 0.0, steps)
+    whole = np.floor(t)
+    return np.asarray(whole + np.clip((t - whole - (1.0 - face)) / face, 0.0, 1.0))

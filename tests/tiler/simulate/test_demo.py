@@ -23,10 +23,10 @@ def test_clouds_and_truth_have_the_same_rows(demo):
         for name in ("X", "Y", "Z", "return_number", "number_of_returns", "gps_time", "scan_angle"):
             assert np.array_equal(cloud[name], truth[name])
         assert set(np.unique(cloud.classification)) == {0, 1}
-        assert {1, 2, 5, 6} <= set(np.unique(truth.classification)) <= {1, 2, 5, 6, 7, 18}
+        assert {1, 2, 3, 5, 6} <= set(np.unique(truth.classification)) <= {1, 2, 3, 4, 5, 6, 7, 14, 15, 18}
         assert np.all(np.diff(cloud.gps_time) >= 0)
         assert cloud.header.parse_crs().to_epsg() == 32632
-        assert list(cloud.header.scales) == [0.01] * 3
+        assert list(cloud.header.scales) == [0.001] * 3
         total += len(cloud)
     assert total == demo.points
 
@@ -34,12 +34,12 @@ def test_clouds_and_truth_have_the_same_rows(demo):
 def test_the_files_lie_side_by_side(demo):
     for part, path in enumerate(demo.paths):
         cloud = laspy.read(path)
-        west, south = 50_000_000 + 16_000 * (part % 2), 540_000_000 + 16_000 * (part // 2)
-        x, y = np.round(cloud.x * 100), np.round(cloud.y * 100)
-        assert (x.min(), x.max()) == pytest.approx((west, west + 16_000), abs=150)
-        assert (y.min(), y.max()) == pytest.approx((south, south + 16_000), abs=150)
-        assert west <= x.min() < x.max() < west + 16_000
-        assert south <= y.min() < y.max() < south + 16_000
+        west, south = 500_000_000 + 160_000 * (part % 2), 5_400_000_000 + 160_000 * (part // 2)
+        x, y = np.round(cloud.x * 1000), np.round(cloud.y * 1000)
+        assert (x.min(), x.max()) == pytest.approx((west, west + 160_000), abs=1500)
+        assert (y.min(), y.max()) == pytest.approx((south, south + 160_000), abs=1500)
+        assert west <= x.min() < x.max() < west + 160_000
+        assert south <= y.min() < y.max() < south + 160_000
 
 
 def test_the_true_dtm_is_the_formula(demo):

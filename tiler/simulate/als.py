@@ -1,0 +1,261 @@
+"""An airborne laser scanner: slanted pulses along scan lines, several returns, range noise and blunders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
+from tiler.simulate.objects import LOW_VEGETATION, WIRE, Floats, Objects, Rays
+from tiler.simulate.points import Box, Points, UInt8s, vegetation_label
+from tiler.simulate.randomness import BIAS, BLUNDERS, PULSES, generator, node_normals
+from tiler.simulate.site import Site
+from tiler.simulate.terrain import Terrain
+
+PATCH_M = 100.0
+"""Side of the squares that are surveyed at once, a lattice at (0, 0): bounds the memory."""
+
+FORWARD_TILT = 0.02
+"""Metres to the north per metre of height: so walls that face along the strip get points, too."""
+
+LINE_STEP = 1.25
+"""Distance of the scan lines over that of the pulses along them; their product keeps the density."""
+
+REACH_M = 160.0
+"""Surfaces lie within this height of `Terrain.base`; it bounds how far pulses lean into the site."""
+
+TALLEST_M = 60.0
+"""No object is higher above the ground."""
+
+LOST = 0.01
+"""Share of pulses without any return."""
+
+WATER_RETURNS = 0.03
+"""Share of pulses on water that come back."""
+
+
+@dataclass(frozen=True)
+class AlsSensor:
+    """Metres, degrees and counts per square kilometre in the names.
+
+    Attributes
+    ----------
+    density : float
+        Pulses per square metre outside of overlaps; scan lines along x.
+    sigma_m : float
+        Standard deviation of the heights; each strip is off by 0.3 of it as well.
+    flying_height_m, strip_m, overlap_m : float
+        Height above `Terrain.base`; distance of the strips, which run along y, and how far neighbours overlap.
+    max_returns : int
+        Later returns of a pulse are lost.
+    low_singles_km2, low_groups_km2, high_km2 : float
+        Blunders: single points 2-15 m under ground, groups of 3 to 7 points 2-6 m under ground, single
+        points 20-200 m above.
+    """
+
+    density: float = 4.0
+    sigma_m: float = 0.025
+    flying_height_m: float = 900.0
+    strip_m: float = 300.0
+    overlap_m: float = 20.0
+    max_returns: int = 5
+    low_singles_km2: float = 150.0
+    low_groups_km2: float = 40.0
+    high_km2: float = 150.0
+
+    @property
+    def patch_m(self) -> float:
+        """Side of the squares that are surveyed at once, metres."""
+        return PATCH_M
+
+    @property
+    def reach_m(self) -> float:
+        """How far beyond a site pulses must be aimed to hit all of it, metres."""
+        lean = (self.strip_m + self.overlap_m) / 2 / self.flying_height_m + FORWARD_TILT
+        return REACH_M * lean
+
+    def survey(self, site: Site, ix: int, iy: int) -> Points:
+        """The points of the pulses aimed at patch (ix, iy), pulse by pulse, blunders last.
+
+        A pulse belongs to the patch where its place in the pattern lies on the level `Terrain.base`, so patches
+        side by side shoot each pulse once; its points may fall beyond the edge of the patch.
+        """
+        return _survey(self, site, ix, iy)
+
+
+@dataclass
+class _Hits:
+    """Returns as they are found, in any order: ray, height, label, and whether the pulse ends there."""
+
+    ray: list[npt.NDArray[np.intp]]
+    z: list[Floats]
+    label: list[UInt8s]
+    last: list[npt.NDArray[np.bool_]]
+
+    def add(
+        self, ray: npt.NDArray[np.intp], z: Floats, label: int | UInt8s, last: bool | npt.NDArray[np.bool_]
+    ) -> None:
+        self.ray.append(ray)
+        self.z.append(z)
+        self.label.append(np.broadcast_to(np.uint8(label), ray.shape))
+        self.last.append(np.broadcast_to(np.bool_(last), ray.shape))
+
+
+def _pulses(
+    sensor: AlsSensor, base: float, box: Box, rng: np.random.Generator
+) -> tuple[Rays, npt.NDArray[np.int64]]:
+    """Rays through a jittered pattern over ``box`` on the level ``base``, and the strip of each."""
+    across, lap = (sensor.density * LINE_STEP) ** -0.5, sensor.overlap_m / 2
+    along = across * LINE_STEP
+    lines = (np.arange(np.ceil(box[1] / along - 0.5), np.ceil(box[3] / along - 0.5)) + 0.5) * along
+    first, last = np.floor((box[0] - lap) / sensor.strip_m), np.floor((box[2] + lap) / sensor.strip_m)
+    parts, strips = [], []
+    for strip in np.arange(first, last + 1):
+        west = max(box[0], strip * sensor.strip_m - lap)
+        east = min(box[2], (strip + 1) * sensor.strip_m + lap)
+        columns = (np.arange(np.ceil(west / across - 0.5), np.ceil(east / across - 0.5)) + 0.5) * across
+        x, y = (grid.ravel() for grid in np.meshgrid(columns, lines))
+        x = x + rng.uniform(-0.3 * across, 0.3 * across, len(x))
+        y = y + rng.uniform(-0.2 * along, 0.2 * along, len(y))
+        lx = ((strip + 0.5) * sensor.strip_m - x) / sensor.flying_height_m
+        parts.append(np.stack((x - lx * base, y - FORWARD_TILT * base, lx, np.full(len(x), FORWARD_TILT))))
+        strips.append(np.full(len(x), int(strip), np.int64))
+    ax, ay, lx, ly = np.concatenate(parts, axis=1)
+    return Rays(ax, ay, lx, ly, base), np.concatenate(strips)
+
+
+def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
+    """Height where each ray meets the terrain; metres.
+
+    A fixed point where rays are steeper than the slopes by far; what does not settle (cliffs) is bisected.
+    """
+    z = np.full(len(rays), terrain.base)
+    moved = np.full(len(rays), np.inf)
+    for _ in range(12):
+        before = z
+        z = terrain.height_at(*rays.at(z))
+        moved = np.abs(z - before)
+        if float(moved.max(initial=0.0)) < 1e-5:
+            return z
+    rest = np.flatnonzero(moved >= 1e-5)
+    low = np.full(len(rest), terrain.base - 2 * REACH_M)
+    high = np.full(len(rest), terrain.base + 2 * REACH_M)
+    for _ in range(50):
+        middle = (low + high) / 2
+        above = middle > terrain.height_at(*rays.at(middle, rest))
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    z[rest] = (low + high) / 2
+    return z
+
+
+def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Generator, hits: _Hits) -> None:
+    """Returns inside of crowns and from wires, above the surface that stops the ray."""
+    for wire in objects.wires:
+        ray, z = wire.hit(rays)
+        seen = z > surface[ray]
+        hits.add(ray[seen], z[seen], WIRE, False)
+    for crown in objects.crowns:
+        ray, top, bottom = crown.chord(rays)
+        floor = np.maximum(bottom, surface[ray])
+        z = top - rng.exponential(0.3 * crown.spacing, len(ray))
+        while len(ray):
+            ends = rng.random(len(ray)) < crown.stop
+            inside = z > floor
+            hits.add(ray[inside], z[inside], LOW_VEGETATION, ends[inside])
+            go_on = inside & ~ends
+            ray, floor = ray[go_on], floor[go_on]
+            # Two echoes nearer than about half a metre melt into one.
+            z = z[go_on] - 0.5 - rng.exponential(max(crown.spacing - 0.5, 0.1), len(ray))
+
+
+def _surface(
+    site: Site, objects: Objects, rays: Rays, bare: Floats, rng: np.random.Generator, hits: _Hits
+) -> Floats:
+    """The opaque end of each ray: a solid, low vegetation, water or the ground."""
+    z = bare.copy()
+    px, py = rays.at(bare)
+    label = np.where(site.terrain.wet_at(px, py), WATER, GROUND).astype(np.uint8)
+    for patch in objects.patches:
+        here = np.flatnonzero((np.abs(px - patch.x) <= patch.radius) & (np.abs(py - patch.y) <= patch.radius))
+        depth = patch.inside(px[here], py[here])
+        here = here[(depth > 0) & (rng.random(len(here)) < patch.cover) & (label[here] == GROUND)]
+        # Plants thin out upward; a low plant and the ground under it give one echo between the two.
+        tall = 0.08 + (patch.height - 0.08) * rng.beta(1.6, 1.6, len(here))
+        double = (tall > 0.7) & (rng.random(len(here)) < 0.4)
+        hits.add(here[double], bare[here[double]] + tall[double], LOW_VEGETATION, False)
+        here, tall = here[~double], tall[~double]
+        z[here], label[here] = bare[here] + tall, LOW_VEGETATION
+    for solid in objects.solids:
+        ray, top = solid.hit(rays)
+        higher = top > z[ray]
+        z[ray[higher]], label[ray[higher]] = top[higher], solid.label
+    kept = rng.random(len(rays)) >= np.where(label == WATER, 1.0 - WATER_RETURNS, LOST)
+    ray = np.flatnonzero(kept)
+    hits.add(ray, z[ray], label[ray], True)
+    return z
+
+
+def _numbered(hits: _Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:
+    """Ray, height, label, return number and count, ordered by ray and from the first return to the last."""
+    ray, z = np.concatenate(hits.ray), np.concatenate(hits.z)
+    label, last = np.concatenate(hits.label), np.concatenate(hits.last)
+    order = np.lexsort((-z, ray))
+    ray, z, label, last = ray[order], z[order], label[order], last[order]
+    start = np.flatnonzero(np.r_[True, ray[1:] != ray[:-1]])
+    length = np.diff(np.r_[start, len(ray)])
+    number = np.arange(len(ray)) - np.repeat(start, length) + 1
+    ended = np.cumsum(last, dtype=np.intp) - last
+    seen = (ended == np.repeat(ended[start], length)) & (number <= max_returns)
+    count = np.repeat(np.add.reduceat(seen.astype(np.intp), start), length)
+    return ray[seen], z[seen], label[seen], number[seen].astype(np.uint8), count[seen].astype(np.uint8)
+
+
+def _blunders(
+    sensor: AlsSensor, terrain: Terrain, box: Box, rng: np.random.Generator
+) -> tuple[Floats, UInt8s]:
+    """Points where nothing is: xyz (n, 3) and labels."""
+    km2 = (box[2] - box[0]) * (box[3] - box[1]) / 1e6
+    low, groups, high = (
+        rng.poisson(rate * km2) for rate in (sensor.low_singles_km2, sensor.low_groups_km2, sensor.high_km2)
+    )
+    members = rng.integers(3, 8, groups)
+    n = low + groups + high
+    x, y = rng.uniform(box[0], box[2], n), rng.uniform(box[1], box[3], n)
+    above = np.r_[-rng.uniform(2, 15, low), -rng.uniform(2, 6, groups), rng.uniform(20, 200, high)]
+    times = np.r_[np.ones(low, np.intp), members, np.ones(high, np.intp)]
+    spread = np.repeat(np.r_[np.zeros(low), np.full(groups, 0.4), np.zeros(high)], times)
+    x, y, above = (np.repeat(column, times) for column in (x, y, above))
+    x, y = x + spread * rng.standard_normal(len(x)), y + spread * rng.standard_normal(len(y))
+    above = above + 0.2 * spread * rng.standard_normal(len(x))
+    label = np.where(above < 0, LOW_NOISE, HIGH_NOISE).astype(np.uint8)
+    return np.column_stack((x, y, terrain.height_at(x, y) + above)), label
+
+
+def _survey(sensor: AlsSensor, site: Site, ix: int, iy: int) -> Points:
+    box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
+    rng = generator(site.seed, PULSES, ix, iy)
+    rays, strip = _pulses(sensor, site.terrain.base, box, rng)
+    bare = ground_hit(site.terrain, rays)
+    px, py = rays.at(bare)
+    lean = TALLEST_M * rays.steepest
+    objects = site.objects_near(px.min() - lean, py.min() - lean, px.max() + lean, py.max() + lean)
+    hits = _Hits([], [], [], [])
+    surface = _surface(site, objects, rays, bare, rng, hits)
+    _canopy(objects, rays, surface, rng, hits)
+    ray, z, label, number, count = _numbered(hits, sensor.max_returns)
+    x, y = rays.at(z, ray)
+    label = vegetation_label(label, z - bare[ray])
+    angle = np.degrees(np.arctan(rays.lx[ray]))
+    bias = 0.3 * sensor.sigma_m * node_normals(site.seed, BIAS, strip[ray], np.zeros(len(ray), np.int64))
+    z = z + bias + sensor.sigma_m * rng.standard_normal(len(z))
+    noise, noise_label = _blunders(sensor, site.terrain, box, generator(site.seed, BLUNDERS, ix, iy))
+    one = np.ones(len(noise), np.uint8)
+    return Points(
+        np.concatenate((np.column_stack((x, y, z)), noise)),
+        np.r_[label, noise_label],
+        np.r_[number, one],
+        np.r_[count, one],
+        np.r_[angle, np.zeros(len(noise))],
+    )

@@ -1,0 +1,164 @@
+"""What people and plants put on a block of land, by kind of place."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tiler.simulate.plot import Plot
+
+
+def city_block(plot: Plot) -> None:
+    """Flats, a courtyard, a podium with a tower, a parking lot, or a park."""
+    kind = plot.rng.random()
+    done = False
+    if kind < 0.2:
+        done = plot.courtyard(plot.rng.uniform(9, 12), closed=bool(plot.rng.random() < 0.6))
+    elif kind < 0.3:
+        done = plot.podium()
+    elif kind < 0.38:
+        plot.parking()
+        done = True
+    elif kind < 0.82:
+        angle = float(plot.rng.choice([0.0, 0.0, 90.0, plot.rng.uniform(0, 180)]))
+        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        across = plot.rng.uniform(10, 12)
+        done = plot.flats(plot.x - across * sin, plot.y + across * cos, angle)
+        if plot.rng.random() < 0.6:
+            done |= plot.flats(plot.x + across * sin, plot.y - across * cos, angle)
+    if done:
+        plot.trees(1, 5)
+        plot.bushes(1, 4)
+    else:
+        plot.trees(6, 16, (5.0, 18.0))
+        plot.bushes(3, 8)
+    plot.street_cars(0.4)
+
+
+def suburb_block(plot: Plot) -> None:
+    """One or two houses with a garden, hedges, walls, sheds and trees; wood where it is steep."""
+    if plot.slope() > 0.4:
+        plot.wood(5.0, (8.0, 20.0), 0.3)
+        return
+    angle = float(plot.rng.choice([0.0, 90.0, plot.rng.uniform(0, 180)]))
+    built = plot.house(*plot.pick(15.0), angle)
+    if plot.rng.random() < 0.3:
+        built |= plot.house(*plot.pick(10.0), angle)
+    if not built and plot.rng.random() < 0.5:
+        plot.undergrowth(plot.rng.uniform(0.3, 0.9), plot.rng.uniform(0.2, 0.9))
+    if plot.rng.random() < 0.3:
+        plot.dugout(*plot.pick(6.0))
+    plot.trees(2, 7, (3.0, 12.0))
+    plot.bushes(2, 6)
+    edge = plot.side / 2 - plot.street - 0.5
+    if plot.rng.random() < 0.6:
+        plot.hedge(plot.x, plot.y + edge, 0.0, 2 * edge)
+    if plot.rng.random() < 0.3:
+        plot.wall(plot.x + edge, plot.y, 90.0, 2 * edge)
+    plot.street_cars(0.25)
+
+
+def forest_block(plot: Plot) -> None:
+    """Closed wood, now and then a clearing."""
+    if plot.rng.random() < 0.12:
+        plot.undergrowth(plot.rng.uniform(0.2, 0.8), plot.rng.uniform(0.3, 1.0))
+        plot.bushes(3, 8, (0.4, 1.6))
+    else:
+        plot.wood(plot.rng.uniform(4.0, 6.0), (8.0, 26.0), plot.rng.choice([0.1, 0.5, 0.95]))
+
+
+def mountain_block(plot: Plot) -> None:
+    """Wood and scrub on slopes, rock where they are steepest, a village in the valley."""
+    slope = plot.slope(15.0)
+    if slope > 0.3:
+        wooded = plot.rng.random() < (0.6 if slope < 0.8 else 0.25)
+        plot.wood(6.0, (5.0, 18.0), 0.6) if wooded else plot.bushes(2, 12, (0.3, 1.2))
+    else:
+        suburb_block(plot)
+
+
+def terrace_block(plot: Plot) -> None:
+    """Rows of vines, huts, some trees, dry walls."""
+    if plot.rng.random() < 0.5:
+        for off in np.arange(-plot.side / 2 + 2, plot.side / 2, 3.0):
+            plot.hedge(plot.x, plot.y + float(off), 0.0, plot.side - 6.0)
+    elif plot.rng.random() < 0.4:
+        plot.house(*plot.pick(12.0), 0.0)
+    if plot.rng.random() < 0.3:
+        plot.dugout(*plot.pick(8.0))
+    plot.trees(0, 5, (3.0, 9.0))
+    plot.bushes(1, 6)
+    if plot.rng.random() < 0.3:
+        plot.wall(plot.x, plot.y - plot.side / 2 + 1.0, 0.0, 0.7 * plot.side)
+
+
+def works_block(plot: Plot) -> None:
+    """Works: sheds, heaps of bushes, vehicles, wood at the edges."""
+    kind = plot.rng.random()
+    if kind < 0.25:
+        plot.hall(plot.rng.uniform(18, 32), plot.rng.uniform(10, 18))
+        plot.street_cars(0.3)
+    elif kind < 0.5 or plot.slope() > 0.3:
+        plot.bushes(3, 10, (0.2, 1.5))
+        plot.trees(0, 4)
+    elif kind < 0.7:
+        plot.wood(5.0, (5.0, 14.0), 0.1)
+    else:
+        plot.undergrowth(plot.rng.uniform(0.2, 0.6), plot.rng.uniform(0.2, 0.6))
+
+
+def hall_block(plot: Plot) -> None:
+    """A large hall, a podium, a large courtyard or parking, with trees along the street."""
+    kind = plot.rng.random()
+    if kind < 0.4:
+        built = plot.hall(plot.rng.uniform(55, 95), plot.rng.uniform(35, 65))
+    elif kind < 0.65:
+        built = plot.courtyard(plot.rng.uniform(14, 20), closed=True)
+    else:
+        built = plot.podium()
+    if not built:
+        plot.parking()
+    plot.trees(3, 10, (5.0, 12.0))
+    plot.bushes(3, 9)
+    plot.street_cars(0.4)
+
+
+def mixed_block(plot: Plot) -> None:
+    """Houses, fields, wood."""
+    kind = plot.rng.random()
+    if kind < 0.45:
+        suburb_block(plot)
+    elif kind < 0.65:
+        plot.wood(5.5, (7.0, 22.0), 0.4)
+    else:
+        plot.undergrowth(plot.rng.uniform(0.2, 0.8), plot.rng.uniform(0.15, 0.9))
+        plot.trees(0, 2)
+
+
+def river_block(plot: Plot) -> None:
+    """Houses and a few flats on dry land, trees and reed on the bank."""
+    if plot.terrain.wet_at(plot.x, plot.y) or plot.slope() > 0.12:
+        plot.trees(3, 9, (4.0, 14.0))
+        plot.bushes(4, 12, (0.4, 1.6))
+    elif plot.rng.random() < 0.3:
+        plot.flats(plot.x, plot.y, 0.0)
+        plot.trees(2, 5)
+        plot.street_cars(0.3)
+    else:
+        suburb_block(plot)
+
+
+def park_block(plot: Plot) -> None:
+    """Lawn with groups of trees, beds, hedges, a kiosk or a playground."""
+    kind = plot.rng.random()
+    if kind < 0.18:
+        plot.wood(6.5, (6.0, 20.0), 0.2)
+    elif kind < 0.4:
+        plot.undergrowth(plot.rng.uniform(0.5, 0.95), plot.rng.uniform(0.2, 0.7))
+        plot.trees(1, 4)
+    else:
+        plot.trees(2, 7, (4.0, 18.0))
+        plot.bushes(2, 6, (0.3, 2.0))
+        if plot.rng.random() < 0.3:
+            plot.house(plot.x, plot.y, float(plot.rng.uniform(0, 180)))
+    if plot.rng.random() < 0.3:
+        plot.hedge(plot.x, plot.y + 8.0, float(plot.rng.uniform(0, 180)), 18.0)

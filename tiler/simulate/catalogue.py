@@ -1,0 +1,154 @@
+"""The scenes that methods are tuned and scored on: names, seeds and sensors, committed before any tuning.
+
+A scene's content is part of the repository's history: add scenes, never change one without saying so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.errors import ConfigError
+from tiler.simulate.als import AlsSensor
+from tiler.simulate.dim import DimSensor
+from tiler.simulate.points import Sensor, UInt8s, UInt16s, survey
+from tiler.simulate.site import Site
+from tiler.simulate.sites import SITES
+from tiler.simulate.terrain import Floats
+
+SENSORS: dict[str, type[AlsSensor] | type[DimSensor]] = {"als": AlsSensor, "dim": DimSensor}
+
+
+@dataclass(frozen=True)
+class SceneSpec:
+    """What a scene is made of.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        ``als`` or ``dim``.
+    summary : str
+    scene_class : str
+        Scenes of a class are scored together.
+    site : str
+        A name of `tiler.simulate.sites.SITES`.
+    seed : int
+    side_m : float
+    sensor : dict
+        Settings of the kind's sensor that differ from its defaults.
+    """
+
+    name: str
+    kind: str
+    summary: str
+    scene_class: str
+    site: str
+    seed: int
+    side_m: float
+    sensor: dict[str, Any] = field(default_factory=dict)
+
+    def make_site(self) -> Site:
+        """Terrain and objects."""
+        return SITES[self.site](self.seed, self.side_m)
+
+    def make_sensor(self) -> Sensor:
+        """The sensor with its settings."""
+        return SENSORS[self.kind](**self.sensor)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A simulated cloud and its truth.
+
+    Attributes
+    ----------
+    spec : SceneSpec
+    site : Site
+    xyz : float64, shape (n, 3)
+        Metres, whole millimetres, from the scene's south-west corner.
+    classification : uint8, shape (n,)
+        True ASPRS classes, as `tiler.simulate.points.Points.label`.
+    rgb : uint16, shape (n, 3), or None
+    returns : uint8, shape (n, 2)
+        Return number and number of returns.
+    """
+
+    spec: SceneSpec
+    site: Site
+    xyz: Floats
+    classification: UInt8s
+    rgb: UInt16s | None
+    returns: UInt8s
+
+    def truth(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
+        """True height of the ground, metres, at positions in metres; float64 of their broadcast shape."""
+        return self.site.terrain.height_at(x, y)
+
+
+_ALL = (
+    SceneSpec("als_city", "als", "flats, courtyards, podiums, parking, parks, a dam, a power line",
+              "als city", "city", 101, 260.0, {"density": 4.0}),
+    SceneSpec("als_city_dense", "als", "another city at 15 points/m2", "als city", "city", 102, 160.0,
+              {"density": 15.0, "sigma_m": 0.02}),
+    SceneSpec("als_suburb", "als", "houses, hedges, walls, gardens, a cutting with a bridge, a pond",
+              "als suburb", "suburb", 111, 260.0, {"density": 4.0}),
+    SceneSpec("als_suburb_sparse", "als", "a suburb at 1 point/m2", "als suburb", "suburb", 112, 300.0,
+              {"density": 1.0, "sigma_m": 0.03}),
+    SceneSpec("als_forest", "als", "closed wood with undergrowth on hills, a stream, clearings",
+              "als forest", "forest", 121, 200.0, {"density": 5.0}),
+    SceneSpec("als_mountain", "als", "sharp ridges beside a valley with a settlement", "als mountain", "mountain",
+              131, 300.0, {"density": 2.0, "sigma_m": 0.03}),
+    SceneSpec("als_mountain_dense", "als", "other ridges and another settlement, 6 points/m2", "als mountain",
+              "mountain", 132, 260.0, {"density": 6.0}),
+    SceneSpec("als_terraces", "als", "vineyard terraces below a cliff, retaining and garden walls",
+              "als breaklines", "terraces", 141, 240.0, {"density": 4.0}),
+    SceneSpec("als_quarry", "als", "a pit with benches, spoil heap, railway embankment, works", "als breaklines",
+              "quarry", 142, 260.0, {"density": 3.0}),
+    SceneSpec("als_river", "als", "a river and a pond that return hardly anything, two bridges, houses",
+              "als river", "river", 151, 280.0, {"density": 3.0}),
+    SceneSpec("als_halls", "als", "halls of up to 95 x 65 m, podiums, large courtyards", "als halls", "halls",
+              161, 300.0, {"density": 3.0}),
+    SceneSpec("als_sparse", "als", "houses, fields and wood on hills at 0.5 points/m2", "als sparse", "mixed",
+              171, 300.0, {"density": 0.5, "sigma_m": 0.03}),
+    SceneSpec("dim_city", "dim", "coloured city with facades, streets, parks", "dim city", "city", 201, 120.0,
+              {"density": 30.0, "facade": 0.4}),
+    SceneSpec("dim_halls", "dim", "coloured halls, podiums and large courtyards with facades", "dim city", "halls",
+              202, 150.0, {"density": 20.0, "facade": 0.4}),
+    SceneSpec("dim_village", "dim", "houses and gardens on a slope of 15 degrees, fields, a gully, terraces",
+              "dim village", "village", 211, 120.0, {"density": 40.0}),
+    SceneSpec("dim_park", "dim", "lawns, meadows, groups of trees, a pond, 80 points/m2", "dim park", "park",
+              221, 100.0, {"density": 80.0, "sigma_m": 0.05}),
+    SceneSpec("dim_area_city", "dim", "a city at 40 points/m2, sigma 0.066, blunders 0.05 %", "dim area", "city",
+              231, 120.0),
+    SceneSpec("dim_area_suburb", "dim", "a suburb at 40 points/m2, sigma 0.066, blunders 0.05 %", "dim area",
+              "suburb", 232, 120.0),
+)  # fmt: skip
+
+SCENES: dict[str, SceneSpec] = {spec.name: spec for spec in _ALL}
+"""All scenes by name."""
+
+
+def make_scene(name: str) -> Scene:
+    """Simulate a scene: the same name gives the same points.
+
+    Parameters
+    ----------
+    name : str
+        A name of `SCENES`.
+
+    Raises
+    ------
+    ConfigError
+        There is no scene of this name.
+    """
+    if name not in SCENES:
+        raise ConfigError(f"unknown scene {name!r}: choose one of {', '.join(SCENES)}")
+    spec = SCENES[name]
+    site = spec.make_site()
+    points = survey(site, spec.make_sensor())
+    returns = np.column_stack((points.number, points.count))
+    return Scene(spec, site, points.xyz, points.label, points.rgb, returns)

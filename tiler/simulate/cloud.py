@@ -1,0 +1,98 @@
+"""Simulated points as LAZ files, and their true terrain as a GeoTIFF."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import laspy
+import numpy as np
+import pyproj
+
+from tiler.export.geotiff import TILE, RasterLook, plain_geotiff
+from tiler.simulate.points import Points, UInt8s
+from tiler.simulate.site import Site
+
+CRS = "EPSG:32632"
+ORIGIN = (500_000.0, 5_400_000.0)
+"""Coordinates of a site's south-west corner."""
+
+PULSE_S = 1e-5
+"""Time between pulses."""
+
+
+class CloudWriter:
+    """A LAZ file that grows: LAS 1.4, point format 6, or 7 with colours; millimetres.
+
+    No date of today and no version stand in it, so that the same points have the same bytes.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced if it is there.
+    colour : bool
+    """
+
+    def __init__(self, path: Path, colour: bool = False) -> None:
+        header = laspy.LasHeader(point_format=7 if colour else 6, version="1.4")
+        header.scales, header.offsets = np.full(3, 0.001), np.array([*ORIGIN, 0.0])
+        header.creation_date = datetime.date(2020, 1, 1)
+        header.generating_software = "tiler simulate"
+        header.add_crs(pyproj.CRS(CRS))
+        self.points = 0
+        self._pulses = 0
+        self._header = header
+        self._file: Any = laspy.open(path, "w", header=header, do_compress=True)
+
+    def __enter__(self) -> CloudWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def write(self, points: Points, classes: UInt8s | None = None) -> None:
+        """Append points, with other classes than their own if ``classes`` (uint8, shape (n,)) are given."""
+        if not len(points):
+            return
+        record = laspy.ScaleAwarePointRecord.zeros(len(points), header=self._header)
+        for name, column in zip("XYZ", points.xyz.T, strict=True):
+            record[name] = np.rint(column * 1000).astype(np.int32)
+        record["classification"] = points.label if classes is None else classes
+        record["return_number"], record["number_of_returns"] = points.number, points.count
+        record["scan_angle"] = np.round(points.angle_deg / 0.006).astype(np.int16)
+        pulse = self._pulses + np.cumsum(points.number == 1)
+        record["gps_time"] = pulse * PULSE_S
+        record["point_source_id"] = np.ones(len(points), np.uint16)
+        if points.rgb is not None:
+            record["red"], record["green"], record["blue"] = points.rgb.T
+        self._file.write_points(record)
+        self._pulses = int(pulse[-1])
+        self.points += len(points)
+
+
+def write_dtm(path: Path, site: Site, pixel_m: float) -> None:
+    """Write the true height at the centre of each pixel, float32, in blocks of rows.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced if it is there.
+    site : Site
+    pixel_m : float
+        Side of a pixel, metres.
+    """
+    pixels = int(np.ceil(site.side_m / pixel_m))
+    top = pixels * pixel_m
+    x = (np.arange(pixels) + 0.5) * pixel_m
+    transform = (pixel_m, 0.0, ORIGIN[0], 0.0, -pixel_m, ORIGIN[1] + top)
+    look = RasterLook(CRS, "metre", "true terrain height", {})
+    with plain_geotiff(path, pixels, pixels, transform, look) as raster:
+        for row in range(0, pixels, TILE):
+            y = top - (np.arange(row, min(row + TILE, pixels)) + 0.5) * pixel_m
+            for column in range(0, pixels, TILE):
+                heights = site.terrain.height_at(x[None, column : column + TILE], y[:, None])
+                raster.write(heights.astype(np.float32), row, column)

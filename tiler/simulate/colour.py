@@ -1,0 +1,116 @@
+"""Colours of a matched cloud: materials, their variation, and the shadows of one sun."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.classes import GROUND, WATER
+from tiler.simulate.objects import BRIDGE, BUILDING, HIGH_VEGETATION, LOW_VEGETATION, MEDIUM_VEGETATION
+from tiler.simulate.randomness import COLOUR, node_normals, smooth_noise
+from tiler.simulate.site import Site
+from tiler.simulate.skin import PIXEL_M, Skin
+
+Floats = npt.NDArray[np.float64]
+
+SUN_ELEVATION_DEG = 48.0
+SUN_STEP = (-2, -3)
+"""Pixels (row, column) of one step towards the sun, which stands in the south-west."""
+
+SHADOW_REACH_M = 30.0
+"""Longer shadows are cut off."""
+
+SHADE = np.array([0.36, 0.40, 0.50])
+"""Share of each colour that is left in shadow, which is lit by the sky alone."""
+
+ASPHALT, LAWN, SOIL, ROCK, WATERS, LEAVES, PLANTS, CONCRETE, FACADE = range(9)
+MATERIALS = np.array([
+    (118, 117, 116), (104, 132, 72), (152, 130, 102), (140, 133, 124), (52, 70, 72), (62, 86, 44), (92, 112, 58),
+    (156, 153, 147), (176, 166, 150),
+], dtype=np.float64)  # fmt: skip
+"""8-bit red, green and blue of the materials."""
+
+ROOFS = np.array(
+    [(164, 92, 74), (140, 82, 68), (122, 118, 116), (84, 84, 88), (178, 172, 162), (128, 104, 88)],
+    dtype=np.float64,
+)
+PAINTS = np.array(
+    [(200, 200, 202), (40, 42, 46), (120, 124, 130), (150, 40, 38), (44, 66, 120), (225, 225, 220)],
+    dtype=np.float64,
+)
+
+
+def ground_materials(site: Site, x: Floats, y: Floats) -> npt.NDArray[np.intp]:
+    """Material of the open ground: streets on the blocks' edges, rock where it is steep, lawn or soil elsewhere."""
+    step = 0.5
+    rise = np.hypot(
+        site.terrain.height_at(x + step, y) - site.terrain.height_at(x - step, y),
+        site.terrain.height_at(x, y + step) - site.terrain.height_at(x, y - step),
+    )
+    patchy = smooth_noise(site.seed, COLOUR, x, y, 7.0)
+    # Of a standard normal, the share below 1.6 (green - 0.5) / 0.5 is about `green` between 0.1 and 0.9.
+    material = np.where(patchy < 2.6 * (site.green - 0.5), LAWN, SOIL)
+    material = np.where(rise / (2 * step) > 0.9, ROCK, material)
+    if site.street_m > 0:
+        edge = np.minimum(np.abs(_from_edge(x, site.block_m)), np.abs(_from_edge(y, site.block_m)))
+        material = np.where(edge < site.street_m, ASPHALT, material)
+    return np.asarray(material, dtype=np.intp)
+
+
+def _from_edge(x: Floats, side: float) -> Floats:
+    return np.asarray(x - side * np.rint(x / side))
+
+
+def shadows(skin: Skin) -> npt.NDArray[np.bool_]:
+    """Which nodes of a skin lie in the shadow of another one; all within `SHADOW_REACH_M` is looked at."""
+    length = float(np.hypot(*SUN_STEP)) * PIXEL_M
+    climb = length * np.tan(np.radians(SUN_ELEVATION_DEG))
+    dark = np.zeros_like(skin.sharp, dtype=np.bool_)
+    height, width = skin.sharp.shape
+    for step in range(1, int(SHADOW_REACH_M / length) + 1):
+        rows, columns = -SUN_STEP[0] * step, -SUN_STEP[1] * step
+        if rows >= height or columns >= width:
+            break
+        sunward = skin.sharp[: height - rows, : width - columns]
+        dark[rows:, columns:] |= sunward > skin.sharp[rows:, columns:] + step * climb + 0.2
+    return dark
+
+
+def colours(
+    site: Site, x: Floats, y: Floats, label: npt.NDArray[np.uint8], thing: npt.NDArray[np.int64],
+    facade: npt.NDArray[np.bool_], dark: npt.NDArray[np.bool_], rng: np.random.Generator,
+) -> npt.NDArray[np.uint16]:  # fmt: skip
+    """Colour of each point: uint16, shape (n, 3), 8-bit values times 256.
+
+    Parameters
+    ----------
+    site : Site
+    x, y : float64, shape (n,), metres
+    label : uint8, shape (n,)
+    thing : int64, shape (n,)
+        `tiler.simulate.skin.solid_number` of the solid that it lies on; -1 for none.
+    facade, dark : bool, shape (n,)
+        Whether it lies on a wall, in the shadow.
+    rng : numpy.random.Generator
+    """
+    material = ground_materials(site, x, y)
+    for value, name in ((WATER, WATERS), (LOW_VEGETATION, PLANTS), (MEDIUM_VEGETATION, LEAVES),
+                        (HIGH_VEGETATION, LEAVES), (BRIDGE, CONCRETE), (BUILDING, CONCRETE)):  # fmt: skip
+        material = np.where(label == value, name, material)
+    rgb = MATERIALS[np.where(facade, FACADE, material)]
+    kind = node_normals(site.seed, COLOUR, thing, thing)
+    pick = np.floor((kind + 4.0) * 97.0).astype(np.intp)
+    roof = (label == BUILDING) & (thing >= 0) & ~facade
+    rgb[roof] = ROOFS[pick[roof] % len(ROOFS)]
+    paint = ~np.isin(label, (GROUND, WATER, BUILDING, BRIDGE)) & (thing >= 0)
+    rgb[paint] = PAINTS[pick[paint] % len(PAINTS)]
+    plants = np.isin(material, (LAWN, PLANTS, LEAVES)) & (thing < 0)
+    # Plants differ from green to straw from place to place; all surfaces in brightness.
+    dry = np.clip(0.25 + 0.25 * smooth_noise(site.seed, COLOUR, x, y, 4.0), 0.0, 0.8) * plants
+    straw = np.array([150.0, 142.0, 96.0])
+    rgb = rgb * (1.0 - dry[:, None]) + straw * dry[:, None]
+    light = 1.0 + 0.1 * smooth_noise(site.seed, COLOUR, x, y, 1.3)
+    light = light * (1.0 + np.where(plants, 0.16, 0.06) * rng.standard_normal(len(x)))
+    rgb = rgb * np.clip(light, 0.4, 1.5)[:, None]
+    rgb = np.where(dark[:, None], rgb * SHADE, rgb) + 4.0 * rng.standard_normal(rgb.shape)
+    return (np.clip(np.rint(rgb), 1, 255) * 256).astype(np.uint16)

@@ -1,0 +1,165 @@
+"""Dense image matching: a dense skin with correlated noise, facades, blunders and colours; nothing below plants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
+from tiler.simulate.colour import SHADOW_REACH_M, colours, shadows
+from tiler.simulate.objects import BUILDING
+from tiler.simulate.points import Box, Points
+from tiler.simulate.randomness import BIAS, BLUNDERS, MATCHES, generator, smooth_noise
+from tiler.simulate.site import Site
+from tiler.simulate.skin import PIXEL_M, Skin, skin_of
+
+Floats = npt.NDArray[np.float64]
+UInt8s = npt.NDArray[np.uint8]
+
+PATCH_M = 50.0
+"""Side of the squares that are matched at once, a lattice at (0, 0): bounds the memory."""
+
+CLUMP = (5, 30)
+"""Fewest and most points of a clump of blunders."""
+
+WALL_M = 2.5
+"""A jump of the skin from which on a wall is seen."""
+
+NARROW_M = 1.2
+"""Half the width of a window; where something in it stands `NARROW_RISE_M` higher, images see less of the ground."""
+
+NARROW_RISE_M = 7.0
+
+
+@dataclass(frozen=True)
+class DimSensor:
+    """Metres and shares.
+
+    Attributes
+    ----------
+    density : float
+        Points per square metre of open ground.
+    sigma_m : float
+        Standard deviation of the heights of hard surfaces; plants have twice as much.
+    correlated : float
+        Share of the variance that neighbours have in common.
+    correlation_m : float
+        How far they do.
+    edge_m : float
+        Standard deviation of the smoothing at edges.
+    facade : float
+        Points per square metre of a wall over those of open ground.
+    blunders : float
+        Share of points below the ground: half of them alone, half in clumps of 5 to 30.
+    high_blunders : float
+        Share of points in the air.
+    """
+
+    density: float = 40.0
+    sigma_m: float = 0.066
+    correlated: float = 0.4
+    correlation_m: float = 1.5
+    edge_m: float = 0.3
+    facade: float = 0.25
+    blunders: float = 5e-4
+    high_blunders: float = 3e-5
+
+    @property
+    def patch_m(self) -> float:
+        """Side of the squares that are matched at once, metres."""
+        return PATCH_M
+
+    @property
+    def reach_m(self) -> float:
+        """Matches lie where they are looked for: 0 metres beyond a site."""
+        return 0.0
+
+    def survey(self, site: Site, ix: int, iy: int) -> Points:
+        """The points of patch (ix, iy): the skin, facades, blunders."""
+        box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
+        rng = generator(site.seed, MATCHES, ix, iy)
+        skin = skin_of(site, box, SHADOW_REACH_M + 2.0, self.edge_m)
+        dark = shadows(skin)
+        xyz, label = self._matches(skin, dark, site, box, rng)
+        wall = self._facades(skin, box, rng)
+        noise, noise_label = self._blunders(site, skin, box, generator(site.seed, BLUNDERS, ix, iy))
+        facade = np.repeat([False, True, False], (len(xyz), len(wall), len(noise)))
+        xyz = np.concatenate((xyz, wall, noise))
+        label = np.r_[label, np.full(len(wall), BUILDING, np.uint8), noise_label]
+        node = skin.nearest(xyz[:, 0], xyz[:, 1])
+        rgb = colours(site, xyz[:, 0], xyz[:, 1], label, skin.thing[node], facade, dark[node], rng)
+        one = np.ones(len(xyz), np.uint8)
+        return Points(xyz, label, one, one.copy(), np.zeros(len(xyz)), rgb)
+
+    def _matches(
+        self, skin: Skin, dark: npt.NDArray[np.bool_], site: Site, box: Box, rng: np.random.Generator
+    ) -> tuple[Floats, UInt8s]:
+        """Points of the skin, fewer in shadow, in narrow yards and on water."""
+        count = round(PATCH_M * self.density**0.5)
+        step = PATCH_M / count
+        row, column = np.divmod(np.arange(count * count), count)
+        x = box[0] + (column + rng.uniform(0.0, 1.0, len(row))) * step
+        y = box[1] + (row + rng.uniform(0.0, 1.0, len(row))) * step
+        node = skin.nearest(x, y)
+        around = 2 * round(NARROW_M / PIXEL_M) + 1
+        narrow = ndimage.maximum_filter(skin.sharp, around)[node] - skin.sharp[node] > NARROW_RISE_M
+        lost = 0.02 + 0.2 * dark[node] + 0.4 * narrow + 0.8 * (skin.label[node] == WATER)
+        keep = rng.random(len(x)) >= lost
+        x, y, node = x[keep], y[keep], (node[0][keep], node[1][keep])
+        label, shaded = skin.labels(x, y), dark[node]
+        hard = np.isin(label, (GROUND, WATER, BUILDING))
+        sigma = self.sigma_m * np.where(hard, 1.0, 2.0) * np.where(shaded, 1.3, 1.0)
+        common = smooth_noise(site.seed, BIAS, x, y, self.correlation_m)
+        noise = self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * rng.standard_normal(len(x))
+        return np.column_stack((x, y, skin.height(x, y) + sigma * noise)), label
+
+    def _facades(self, skin: Skin, box: Box, rng: np.random.Generator) -> Floats:
+        """Points on walls: where the skin falls from a building to its neighbour; on some walls more than on others."""
+        x, y = skin.positions()
+        parts = [np.empty((0, 3))]
+        rate = self.facade * self.density * PIXEL_M
+        for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            lower = np.roll(skin.sharp, -way, axis)
+            jump = skin.sharp - lower
+            # A wall is seen in images from one or two sides only.
+            seen = skin.thing * 4 + axis * 2 + (way > 0)
+            share = np.array([1.0, 0.15, 0.5, 0.05, 0.8])[seen % 5]
+            at = (skin.thing >= 0) & (skin.label == BUILDING) & (jump > WALL_M)
+            at &= (x >= box[0]) & (x < box[2]) & (y >= box[1]) & (y < box[3])
+            times = rng.poisson(rate * share[at] * jump[at])
+            wx, wy, top, fall = (np.repeat(raster[at], times) for raster in (x, y, skin.sharp, jump))
+            offset = PIXEL_M * (0.5 * way + rng.uniform(-0.1, 0.3, len(wx)))
+            slide = PIXEL_M * rng.uniform(-0.5, 0.5, len(wx))
+            wx, wy = wx + (offset if axis else slide), wy + (slide if axis else offset)
+            # Matching sees the upper part of a wall better than its foot.
+            z = top - fall * rng.beta(1.0, 1.4, len(wx)) + self.sigma_m * rng.standard_normal(len(wx))
+            parts.append(np.column_stack((wx, wy, z)))
+        points = np.concatenate(parts)
+        inside = (points[:, :2] >= box[:2]) & (points[:, :2] < box[2:])
+        return points[inside.all(axis=1)]
+
+    def _blunders(self, site: Site, skin: Skin, box: Box, rng: np.random.Generator) -> tuple[Floats, UInt8s]:
+        """Points where nothing is: xyz (n, 3) and labels."""
+        points = self.density * PATCH_M**2
+        alone = rng.poisson(points * self.blunders / 2)
+        clumps = rng.poisson(points * self.blunders / 2 / np.mean(CLUMP))
+        high = rng.poisson(points * self.high_blunders)
+        size = rng.integers(CLUMP[0], CLUMP[1] + 1, clumps)
+        n = alone + clumps + high
+        x, y = rng.uniform(box[0], box[2], n), rng.uniform(box[1], box[3], n)
+        deep = -np.exp(rng.uniform(np.log(0.6), np.log(8.0), alone + clumps))
+        above = np.r_[deep, rng.uniform(3.0, 40.0, high)]
+        times = np.r_[np.ones(alone, np.intp), size, np.ones(high, np.intp)]
+        spread = np.repeat(np.r_[np.zeros(alone), rng.uniform(0.15, 0.7, clumps), np.zeros(high)], times)
+        label = np.repeat(np.where(above < 0, LOW_NOISE, HIGH_NOISE), times).astype(np.uint8)
+        x, y, above = (np.repeat(column, times) for column in (x, y, above))
+        x, y = x + spread * rng.standard_normal(len(x)), y + spread * rng.standard_normal(len(y))
+        x, y = np.clip(x, box[0], box[2] - 0.001), np.clip(y, box[1], box[3] - 0.001)
+        above = above + 0.25 * spread * rng.standard_normal(len(x))
+        # Blunders below the ground reach at least 0.4 m down, or they would be noise of the ground.
+        above = np.where(label == LOW_NOISE, np.minimum(above, -0.4), above)
+        start = np.where(label == LOW_NOISE, site.terrain.height_at(x, y), skin.height(x, y))
+        return np.column_stack((x, y, start + above)), label

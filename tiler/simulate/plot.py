@@ -1,0 +1,251 @@
+"""A block of land to put things on: houses, halls, courtyards, trees, hedges, cars, walls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tiler.core.classes import UNCLASSIFIED
+from tiler.simulate.objects import BUILDING, Crown, Objects, Patch, Solid
+from tiler.simulate.terrain import Terrain
+
+STEEPEST_HOUSE = 0.3
+"""Rise of the ground per metre where nobody builds any more."""
+
+
+class Plot:
+    """Collects what stands in a square block; lengths in metres, angles in degrees.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Of this block alone.
+    terrain : Terrain
+    x, y, side : float
+        Centre and side of the block.
+    landmarks : Objects
+        What the block must keep clear of.
+    street : float
+        Width of the street along its edges.
+    """
+
+    def __init__(
+        self, rng: np.random.Generator, terrain: Terrain, x: float, y: float, side: float,
+        landmarks: Objects, street: float = 0.0,
+    ) -> None:  # fmt: skip
+        self.rng, self.terrain, self.x, self.y, self.side = rng, terrain, x, y, side
+        self.street = street
+        self._far = landmarks
+        self._solids: list[Solid] = []
+        self._crowns: list[Crown] = []
+        self._patches: list[Patch] = []
+
+    def objects(self) -> Objects:
+        """All that was put."""
+        return Objects(tuple(self._solids), tuple(self._crowns), tuple(self._patches))
+
+    def pick(self, edge: float = 0.0) -> tuple[float, float]:
+        """A random position at least ``edge`` from the block's edge."""
+        reach = max(self.side / 2 - edge, 0.0)
+        dx, dy = self.rng.uniform(-reach, reach, 2)
+        return self.x + float(dx), self.y + float(dy)
+
+    def ground(self, x: float, y: float) -> float:
+        """Height of the terrain."""
+        return float(self.terrain.height_at(x, y))
+
+    def slope(self, radius: float = 10.0) -> float:
+        """Mean rise per metre across the middle of the block."""
+        low, high = self.terrain.range_around(self.x, self.y, radius)
+        return (high - low) / (2.8 * radius)
+
+    def free(self, x: float, y: float, radius: float) -> bool:
+        """Whether a circle is dry and clear of landmarks and of the block's solids."""
+        steps = np.linspace(-radius, radius, 5)
+        if self.terrain.wet_at(x + steps[None, :], y + steps[:, None]).any():
+            return False
+        return all(solid.distance(x, y) > radius for solid in (*self._far.solids, *self._solids))
+
+    def box(
+        self, x: float, y: float, angle: float, length: float, width: float, height: float,
+        pitch: float = 0.0, label: int = BUILDING,
+    ) -> None:  # fmt: skip
+        """A solid whose eaves are ``height`` above the highest ground that it touches."""
+        low, high = self.terrain.range_around(x, y, 0.35 * float(np.hypot(length, width)))
+        top = high + height + pitch * width / 2
+        self._solids.append(Solid(x, y, angle, length, width, low - 1.0, top, pitch, label))
+
+    def house(self, x: float, y: float, angle: float) -> bool:
+        """A gabled house of 1-3 storeys, some with a garage and a shed; False where it cannot stand."""
+        length, width = self.rng.uniform(9, 16), self.rng.uniform(7, 11)
+        height, pitch = self.rng.uniform(3, 7.5), float(self.rng.choice([0.0, 0.5, 0.7, 0.9]))
+        low, high = self.terrain.range_around(x, y, length / 2)
+        if high - low > STEEPEST_HOUSE * length * 1.4 or not self.free(x, y, 0.6 * length):
+            return False
+        self.box(x, y, angle, length, width, height, pitch)
+        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        if self.rng.random() < 0.5:
+            off = length / 2 + 1.7
+            self.box(x + off * cos, y + off * sin, angle, 3.4, 6.0, 2.5)
+        if self.rng.random() < 0.4:
+            off = width / 2 + self.rng.uniform(5, 8)
+            self.box(x - off * sin, y + off * cos, angle, 3.0, 2.5, 2.1, 0.3)
+        return True
+
+    def dugout(self, x: float, y: float) -> None:
+        """A garage or cellar dug into a slope: its flat roof hardly rises above the ground behind it."""
+        length, width = self.rng.uniform(5, 14), self.rng.uniform(5, 8)
+        low, high = self.terrain.range_around(x, y, 0.35 * float(np.hypot(length, width)))
+        if high - low > 0.8 and self.free(x, y, 0.5 * length):
+            self.box(x, y, float(self.rng.uniform(0, 180)), length, width, self.rng.uniform(0.1, 0.6))
+
+    def flats(self, x: float, y: float, angle: float) -> bool:
+        """A flat-roofed or gabled block of 3-7 storeys."""
+        length, width = self.rng.uniform(16, 32), self.rng.uniform(10, 14)
+        pitch = float(self.rng.choice([0.0, 0.0, 0.6]))
+        low, high = self.terrain.range_around(x, y, length / 2)
+        if high - low > 4.0 or not self.free(x, y, 0.5 * length):
+            return False
+        self.box(x, y, angle, length, width, self.rng.uniform(9, 21), pitch)
+        return True
+
+    def courtyard(self, depth: float, closed: bool) -> bool:
+        """Four wings (three if not closed) around a yard, along the edges of the block."""
+        outer = self.side / 2 - self.street - 2.0
+        low, high = self.terrain.range_around(self.x, self.y, outer)
+        if high - low > 5.0 or not self.free(self.x, self.y, 1.2 * outer):
+            return False
+        height, pitch = self.rng.uniform(9, 18), float(self.rng.choice([0.0, 0.7]))
+        middle = outer - depth / 2
+        wings = [(0.0, middle, 0.0), (0.0, -middle, 0.0), (middle, 0.0, 90.0), (-middle, 0.0, 90.0)]
+        for dx, dy, angle in wings if closed else wings[:3]:
+            self.box(self.x + dx, self.y + dy, angle, 2 * outer, depth, height, pitch)
+        if self.rng.random() < 0.5:
+            self.box(self.x, self.y, 0.0, 6.0, 4.0, 2.8)
+        return True
+
+    def podium(self) -> bool:
+        """A low base that nearly fills the block, a terrace before it, a tower on it."""
+        side = self.side - 2 * self.street - 6.0
+        low, high = self.terrain.range_around(self.x, self.y, side / 2)
+        if high - low > 4.0 or not self.free(self.x, self.y, 0.7 * side):
+            return False
+        self.box(self.x, self.y, 0.0, side, 0.8 * side, self.rng.uniform(3.5, 7))
+        self.box(self.x, self.y - 0.45 * side, 0.0, 0.6 * side, 0.1 * side, self.rng.uniform(0.7, 1.5))
+        tower = self.rng.uniform(0.3, 0.5) * side
+        self.box(self.x + 0.15 * side, self.y, 0.0, tower, tower, self.rng.uniform(18, 35))
+        return True
+
+    def hall(self, length: float, width: float) -> bool:
+        """A flat or slightly pitched hall with ventilators and a loading ramp."""
+        angle = float(self.rng.choice([0.0, 90.0, self.rng.uniform(0, 180)]))
+        low, high = self.terrain.range_around(self.x, self.y, 0.35 * length)
+        if high - low > 5.0 or not self.free(self.x, self.y, 0.5 * length):
+            return False
+        pitch = float(self.rng.choice([0.0, 0.0, 0.08]))
+        self.box(self.x, self.y, angle, length, width, self.rng.uniform(6, 11), pitch)
+        top = self._solids[-1].top
+        for _ in range(4):
+            dx, dy = self.rng.uniform(-0.25, 0.25, 2) * width
+            x, y = self.x + float(dx), self.y + float(dy)
+            self._solids.append(Solid(x, y, angle, 3.0, 2.0, top - 1.0, top + 1.2))
+        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        off = width / 2 + 2.0
+        self.box(self.x - off * sin, self.y + off * cos, angle, 0.4 * length, 4.0, 1.1)
+        return True
+
+    def tree(self, x: float, y: float, tall: float, dense: bool = False, widest: float = 6.0) -> None:
+        """A broad or, if ``dense``, a conifer-like tree of ``tall`` metres, if it does not grow in a house."""
+        radius = self.rng.uniform(0.12, 0.2) * tall if dense else self.rng.uniform(0.2, 0.38) * tall
+        clear = self.rng.uniform(0.05, 0.15) * tall if dense else self.rng.uniform(0.15, 0.35) * tall
+        radius = min(radius, widest)
+        if self.free(x, y, 0.6 * radius):
+            half = (tall - clear) / 2
+            spacing, stop = (0.9, 0.45) if dense else (1.6, 0.3)
+            z = self.ground(x, y) + clear + half
+            self._crowns.append(Crown(x, y, z, radius, half, spacing, stop))
+
+    def trees(self, low: int, high: int, tall: tuple[float, float] = (4.0, 14.0)) -> None:
+        """Between ``low`` and ``high`` trees anywhere on the block."""
+        for _ in range(self.rng.integers(low, high + 1)):
+            x, y = self.pick(1.0)
+            self.tree(x, y, self.rng.uniform(*tall))
+
+    def wood(self, spacing: float, tall: tuple[float, float], dense: float) -> None:
+        """A closed stand: a tree in every square of ``spacing``, a share ``dense`` of them conifers; undergrowth."""
+        count = max(1, round(self.side / spacing))
+        step = self.side / count
+        for place in range(count * count):
+            dx, dy = self.rng.uniform(0.1, 0.9, 2)
+            x = self.x - self.side / 2 + (place % count + dx) * step
+            y = self.y - self.side / 2 + (place // count + dy) * step
+            conifer = bool(self.rng.random() < dense)
+            self.tree(float(x), float(y), self.rng.uniform(*tall), conifer, widest=0.75 * step)
+        self.undergrowth(self.rng.uniform(0.1, 0.5), self.rng.uniform(0.4, 1.2))
+
+    def undergrowth(self, cover: float, height: float) -> None:
+        """Plants all over the block: a field, a fallow, brambles."""
+        self._patches.append(Patch(self.x, self.y, 0.0, self.side, self.side, height, cover, square=True))
+
+    def bushes(self, low: int, high: int, height: tuple[float, float] = (0.2, 1.0)) -> None:
+        """Beds and bushes, up to 8 m long."""
+        for _ in range(self.rng.integers(low, high + 1)):
+            x, y = self.pick(2.0)
+            length, width = self.rng.uniform(1.5, 8), self.rng.uniform(1, 4)
+            angle, tall, cover = (
+                self.rng.uniform(0, 180),
+                self.rng.uniform(*height),
+                self.rng.uniform(0.3, 0.95),
+            )
+            if self.free(x, y, 0.0):
+                self._patches.append(Patch(x, y, angle, length, width, tall, cover))
+
+    def hedge(self, x: float, y: float, angle: float, length: float) -> None:
+        """A trimmed hedge, dense."""
+        tall = self.rng.uniform(0.8, 2.0)
+        self._patches.append(Patch(x, y, angle, length, 0.9, tall, 0.9, square=True))
+
+    def wall(self, x: float, y: float, angle: float, length: float) -> None:
+        """A garden wall of 0.3 m, 0.6 to 2 m high, in pieces that follow the ground."""
+        tall = self.rng.uniform(0.6, 2.0)
+        pieces = max(1, round(length / 4.0))
+        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        for piece in range(pieces):
+            off = (piece + 0.5) * length / pieces - length / 2
+            px, py = x + off * cos, y + off * sin
+            if self.free(px, py, 0.2):
+                low = self.ground(px, py)
+                self._solids.append(
+                    Solid(px, py, angle, length / pieces, 0.3, low - 1.0, low + tall, label=UNCLASSIFIED)
+                )
+
+    def car(self, x: float, y: float, angle: float) -> None:
+        """A car or, now and then, a van: body and cabin."""
+        if not self.free(x, y, 0.5):
+            return
+        low, van = self.ground(x, y), self.rng.random() < 0.15
+        tall = self.rng.uniform(1.9, 2.6) if van else self.rng.uniform(1.4, 1.7)
+        self._solids.append(
+            Solid(x, y, angle, 4.4, 1.8, base=low - 1.0, top=low + (tall if van else 0.9), label=UNCLASSIFIED)
+        )
+        if not van:
+            self._solids.append(
+                Solid(x, y, angle, 2.3, 1.6, base=low - 1.0, top=low + tall, label=UNCLASSIFIED)
+            )
+
+    def street_cars(self, share: float) -> None:
+        """Parked cars along the south and the west edge of the block."""
+        edge = self.side / 2 - min(1.5, self.street / 2)
+        for place in range(int(self.side / 8)):
+            along = -self.side / 2 + 6.0 + 7.0 * place
+            if self.rng.random() < share:
+                self.car(self.x + along, self.y - edge, 0.0)
+            if self.rng.random() < share / 2:
+                self.car(self.x - edge, self.y + along, 90.0)
+
+    def parking(self) -> None:
+        """Rows of cars all over the block."""
+        reach = self.side / 2 - self.street - 3.0
+        for y in np.arange(-reach, reach + 0.1, 6.0):
+            for x in np.arange(-reach, reach + 0.1, 2.8):
+                if self.rng.random() < 0.6:
+                    self.car(self.x + float(x), self.y + float(y), 90.0)

@@ -1,0 +1,117 @@
+"""Points as a simulated sensor gives them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.simulate.objects import HIGH_VEGETATION, LOW_VEGETATION, MEDIUM_VEGETATION
+from tiler.simulate.site import Site
+
+UInt8s = npt.NDArray[np.uint8]
+UInt16s = npt.NDArray[np.uint16]
+Floats = npt.NDArray[np.float64]
+Box = tuple[float, float, float, float]
+"""x0, y0, x1, y1 in metres, half-open."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Columns of ``n`` points.
+
+    Attributes
+    ----------
+    xyz : float64, shape (n, 3), metres
+    label : uint8, shape (n,)
+        ASPRS classes: 1 cars and garden walls, 2 ground, 3/4/5 plants below 1 m, below 3 m and higher, 6 buildings,
+        7 low noise, 9 water, 14 wires, 15 their towers, 17 bridge decks, 18 high noise.
+    number, count : uint8, shape (n,)
+        Return number, and returns of the pulse.
+    angle_deg : float64, shape (n,)
+        Scan angle.
+    rgb : uint16, shape (n, 3), optional
+    """
+
+    xyz: Floats
+    label: UInt8s
+    number: UInt8s
+    count: UInt8s
+    angle_deg: Floats
+    rgb: UInt16s | None = None
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    def take(self, keep: npt.NDArray[np.bool_]) -> Points:
+        """Only the points of a mask, in the same order."""
+        return Points(
+            self.xyz[keep],
+            self.label[keep],
+            self.number[keep],
+            self.count[keep],
+            self.angle_deg[keep],
+            None if self.rgb is None else self.rgb[keep],
+        )
+
+    @classmethod
+    def joined(cls, parts: list[Points]) -> Points:
+        """All parts, one after the other (at least one)."""
+        rgb = [part.rgb for part in parts if part.rgb is not None]
+        return cls(
+            np.concatenate([part.xyz for part in parts]),
+            np.concatenate([part.label for part in parts]),
+            np.concatenate([part.number for part in parts]),
+            np.concatenate([part.count for part in parts]),
+            np.concatenate([part.angle_deg for part in parts]),
+            np.concatenate(rgb) if rgb else None,
+        )
+
+
+class Sensor(Protocol):
+    """What surveys a site, patch by patch; the patches are a lattice at (0, 0)."""
+
+    @property
+    def patch_m(self) -> float:
+        """Side of a patch, metres."""
+        ...
+
+    @property
+    def reach_m(self) -> float:
+        """How far beyond a site patches must be surveyed, metres."""
+        ...
+
+    def survey(self, site: Site, ix: int, iy: int) -> Points:
+        """The points of a patch, which depend on the site, the sensor and (ix, iy) alone."""
+        ...
+
+
+def vegetation_label(label: UInt8s, above_ground_m: Floats) -> UInt8s:
+    """Labels where plants (labelled low) are split by their height above the ground: below 1 m, below 3 m, higher."""
+    by_height = np.select(
+        [above_ground_m < 1.0, above_ground_m < 3.0], [LOW_VEGETATION, MEDIUM_VEGETATION], HIGH_VEGETATION
+    )
+    return np.where(label == LOW_VEGETATION, by_height, label).astype(np.uint8)
+
+
+def patches(sensor: Sensor, side_m: float) -> list[tuple[int, int]]:
+    """Indices (ix, iy) of the patches that together hold all points of a site, row by row from the south-west."""
+    low = int(np.floor(-sensor.reach_m / sensor.patch_m))
+    high = int(np.ceil((side_m + sensor.reach_m) / sensor.patch_m))
+    return [(ix, iy) for iy in range(low, high) for ix in range(low, high)]
+
+
+def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> Points:
+    """The points of a patch that lie on the site, coordinates rounded to millimetres."""
+    points = sensor.survey(site, ix, iy)
+    xyz = np.round(points.xyz, 3)
+    inside = np.all((xyz[:, :2] >= 0) & (xyz[:, :2] < site.side_m), axis=1)
+    points = Points(xyz, points.label, points.number, points.count, points.angle_deg, points.rgb)
+    return points.take(inside)
+
+
+def survey(site: Site, sensor: Sensor) -> Points:
+    """All points of a site at once: for small ones."""
+    return Points.joined([survey_patch(site, sensor, *index) for index in patches(sensor, site.side_m)])

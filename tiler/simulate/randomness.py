@@ -1,0 +1,67 @@
+"""Random numbers that depend on a seed and a place alone, never on what was drawn before."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+UInt64s = npt.NDArray[np.uint64]
+
+BLOCKS, PULSES, MATCHES, BLUNDERS, BIAS, RELIEF, COLOUR = range(7)
+"""What numbers are for: each purpose has its own."""
+
+OFFSET = 1 << 31
+
+
+def generator(seed: int, purpose: int, *place: int) -> np.random.Generator:
+    """A generator for a place (lattice indices, also negative ones), from a hash of all arguments."""
+    return np.random.Generator(np.random.PCG64([seed, purpose, *(index + OFFSET for index in place)]))
+
+
+def smooth_noise(seed: int, purpose: int, x: Floats, y: Floats, cell_m: float) -> Floats:
+    """Spatially correlated noise: standard normal at each position, one and the same for every caller.
+
+    Normal numbers, hashed from the nodes of a lattice at coordinate 0, are interpolated bilinearly and divided
+    by the root of the sum of the squared weights, which makes the variance 1 everywhere.
+
+    Parameters
+    ----------
+    seed, purpose : int
+    x, y : float64, shape (n,) or broadcastable, metres
+    cell_m : float
+        Side of the lattice: about the distance beyond which the noise is independent.
+
+    Returns
+    -------
+    float64, broadcast shape
+    """
+    u, v = np.broadcast_arrays(x / cell_m, y / cell_m)
+    column, row = np.floor(u), np.floor(v)
+    u, v = u - column, v - row
+    column, row = column.astype(np.int64), row.astype(np.int64)
+    total = np.zeros(u.shape)
+    for east, wx in ((0, 1.0 - u), (1, u)):
+        for north, wy in ((0, 1.0 - v), (1, v)):
+            total += wx * wy * node_normals(seed, purpose, column + east, row + north)
+    return np.asarray(total / np.sqrt((u**2 + (1.0 - u) ** 2) * (v**2 + (1.0 - v) ** 2)))
+
+
+def node_normals(
+    seed: int, purpose: int, column: npt.NDArray[np.int64], row: npt.NDArray[np.int64]
+) -> Floats:
+    """Numbers of mean 0 and variance 1, nearly normal (sums of four uniforms), hashed from lattice indices."""
+    key = np.uint64((seed * 8 + purpose) & 0xFFFFFFFF) << np.uint64(32)
+    hashed = _mixed(_mixed(column.astype(np.uint64) ^ key) + row.astype(np.uint64))
+    total = np.zeros(hashed.shape)
+    for part in range(4):
+        total += (hashed >> np.uint64(16 * part)) & np.uint64(0xFFFF)
+    return np.asarray((total / 65536.0 - 2.0) * np.sqrt(3.0))
+
+
+def _mixed(value: UInt64s) -> UInt64s:
+    """The finaliser of SplitMix64 (Steele, Lea & Flood 2014); wraps around by intent."""
+    value = value + np.uint64(0x9E3779B97F4A7C15)
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(value ^ (value >> np.uint64(31)))

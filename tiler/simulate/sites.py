@@ -1,0 +1,243 @@
+"""Kinds of places: a city, a suburb, forest, mountains, a quarry, a river and others, each from a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tiler.errors import ConfigError
+from tiler.simulate.als import AlsSensor
+from tiler.simulate.blocks import (
+    city_block,
+    forest_block,
+    hall_block,
+    mixed_block,
+    mountain_block,
+    park_block,
+    river_block,
+    suburb_block,
+    terrace_block,
+    works_block,
+)
+from tiler.simulate.landmarks import bridge, power_line
+from tiler.simulate.objects import Objects
+from tiler.simulate.points import Sensor, UInt8s, survey
+from tiler.simulate.site import Site
+from tiler.simulate.terrain import (
+    Bank,
+    Basin,
+    Cliff,
+    Embankment,
+    Floats,
+    Hill,
+    Line,
+    Ridge,
+    River,
+    Terraces,
+    Terrain,
+    Waves,
+)
+
+
+def _rng(seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def city(seed: int, side_m: float) -> Site:
+    """Blocks of 50 m on gentle hills; a dam across with a road under it, a river bank, a power line."""
+    rng = _rng(seed)
+    dam = Embankment(side_m / 2, side_m * 0.78, 12.0, height=5.0, crest_width=6.0, slope_width=9.0)
+    bank = Bank(side_m * 0.86, drop=6.0, width=4.0, swing=side_m * 0.04, period=side_m * 0.9)
+    terrain = Terrain(120.0, (0.01, -0.006), (Waves.random(rng, 9.0, 380.0), dam, bank))
+    line = power_line(terrain, Line(0.0, side_m * 0.93, 2.0), side_m)
+    return Site(terrain, side_m, seed, city_block, 50.0, line, street_m=5.0, green=0.55)
+
+
+def suburb(seed: int, side_m: float) -> Site:
+    """Houses and gardens on rolling land, a cutting with a road bridge, a pond."""
+    rng = _rng(seed)
+    cutting = Embankment(side_m * 0.5, side_m * 0.3, 5.0, height=-5.0, crest_width=9.0, slope_width=7.0)
+    pond = Basin(side_m * 0.78, side_m * 0.75, 18.0, 2.0, 4.0, water=True)
+    terrain = Terrain(210.0, (0.02, 0.03), (Waves.random(rng, 10.0, 260.0), cutting, pond))
+    deck = bridge(terrain, Line(side_m * 0.46, side_m * 0.297, 95.0), 26.0, 8.0)
+    return Site(terrain, side_m, seed, suburb_block, 36.0, deck, street_m=3.0, green=0.8)
+
+
+def forest(seed: int, side_m: float) -> Site:
+    """Closed wood on hills with a stream's valley and clearings."""
+    rng = _rng(seed)
+    hills = [
+        Hill(rng.uniform(0, side_m), rng.uniform(0, side_m), rng.uniform(8, 30), rng.uniform(25, 60))
+        for _ in range(max(3, int(6 * (side_m / 200) ** 2)))
+    ]
+    stream = River(Line(side_m * 0.35, 0.0, 80.0), 1.5, 4.0, 9.0, swing=12.0, period=120.0)
+    terrain = Terrain(
+        400.0, (0.15, 0.1), (*hills, Waves.random(rng, 6.0, 50.0), Waves.random(rng, 0.5, 8.0), stream)
+    )
+    return Site(terrain, side_m, seed, forest_block, 25.0, green=0.3)
+
+
+def mountain(seed: int, side_m: float) -> Site:
+    """Sharp ridges of 35-45 degrees beside a valley with a settlement, as in the paper of `ridge2016`."""
+    rng = _rng(seed)
+    ridges = [
+        Ridge(Line(side_m * 0.8, side_m * 0.55, 85.0), 75.0, 82.0, side_m * 1.2),
+        Ridge(Line(side_m * 0.65, side_m * 0.85, 15.0), 42.0, 50.0, side_m * 0.7),
+        Ridge(Line(side_m * 0.72, side_m * 0.25, -20.0), 30.0, 40.0, side_m * 0.5),
+    ]
+    rough = (Waves.random(rng, 3.0, 70.0), Waves.random(rng, 0.8, 12.0))
+    terrain = Terrain(800.0, (0.05, 0.02), (*ridges, *rough))
+    line = power_line(terrain, Line(0.0, side_m * 0.45, 8.0), side_m)
+    return Site(terrain, side_m, seed, mountain_block, 36.0, line, street_m=2.0, green=0.5)
+
+
+def terraces(seed: int, side_m: float) -> Site:
+    """Vineyard terraces with steep faces below a cliff, a retaining wall by the road."""
+    rng = _rng(seed)
+    steps = Terraces(Line(0.0, side_m * 0.15, 6.0), max(2, int(side_m * 0.45 / 13)), 13.0, 2.4, 0.9)
+    cliff = Cliff(Line(0.0, side_m * 0.72, -4.0), 28.0, 9.0, swing=7.0, period=90.0)
+    wall = Cliff(Line(side_m * 0.5, side_m * 0.09, 6.0), 3.0, 0.3)
+    terrain = Terrain(300.0, (0.03, 0.08), (steps, cliff, wall, Waves.random(rng, 3.0, 90.0)))
+    return Site(terrain, side_m, seed, terrace_block, 40.0, green=0.5)
+
+
+def quarry(seed: int, side_m: float) -> Site:
+    """A pit with benches, a spoil heap, a railway embankment, works, bushes on the rubble."""
+    rng = _rng(seed)
+    pit = Basin(side_m * 0.38, side_m * 0.42, side_m * 0.27, 36.0, side_m * 0.13, benches=3)
+    pool = Basin(side_m * 0.38, side_m * 0.40, side_m * 0.05, 3.0, 3.0, water=True)
+    heap = Ridge(Line(side_m * 0.8, side_m * 0.25, 60.0), 14.0, 22.0, 50.0)
+    dam = Embankment(side_m * 0.5, side_m * 0.85, -6.0, height=7.0, crest_width=5.0, slope_width=10.0)
+    terrain = Terrain(
+        150.0,
+        (-0.02, 0.03),
+        (Waves.random(rng, 4.0, 140.0), Waves.random(rng, 0.6, 9.0), pit, pool, heap, dam),
+    )
+    return Site(terrain, side_m, seed, works_block, 40.0, street_m=2.0, green=0.3)
+
+
+def river(seed: int, side_m: float) -> Site:
+    """A river with hardly any return from its water, banks, two bridges, houses beside it, a pond."""
+    rng = _rng(seed)
+    course = Line(side_m * 0.5, 0.0, 84.0)
+    stream = River(course, side_m * 0.14, 5.0, 9.0, swing=side_m * 0.05, period=side_m * 1.1)
+    pond = Basin(side_m * 0.15, side_m * 0.8, side_m * 0.07, 2.5, 6.0, water=True)
+    terrain = Terrain(30.0, (0.0, 0.002), (Waves.random(rng, 1.2, 200.0), stream, pond))
+    decks = Objects()
+    for share in (0.3, 0.75):
+        along = share * side_m
+        sway = -stream.swing * np.sin(2 * np.pi * along / stream.period)
+        turn = np.radians(course.angle_deg)
+        x, y = (
+            course.x + along * np.cos(turn) - sway * np.sin(turn),
+            along * np.sin(turn) + sway * np.cos(turn),
+        )
+        decks = decks + bridge(terrain, Line(x, y, -6.0), stream.width + 24.0, 9.0)
+    return Site(terrain, side_m, seed, river_block, 40.0, decks, street_m=3.0, green=0.75)
+
+
+def halls(seed: int, side_m: float) -> Site:
+    """Large halls, podiums and courtyards on nearly flat land with a ramp of a road."""
+    rng = _rng(seed)
+    ramp = Embankment(side_m * 0.98, side_m * 0.5, 90.0, height=4.0, crest_width=8.0, slope_width=6.0)
+    terrain = Terrain(60.0, (0.008, 0.004), (Waves.random(rng, 2.5, 300.0), ramp))
+    return Site(terrain, side_m, seed, hall_block, 100.0, street_m=8.0, green=0.35)
+
+
+def mixed(seed: int, side_m: float) -> Site:
+    """Houses, fields and wood on hills with a road embankment."""
+    rng = _rng(seed)
+    dam = Embankment(side_m * 0.4, side_m * 0.5, 70.0, height=4.0, crest_width=8.0, slope_width=7.0)
+    terrain = Terrain(250.0, (0.03, -0.02), (Waves.random(rng, 22.0, 260.0), dam))
+    return Site(terrain, side_m, seed, mixed_block, 42.0, street_m=3.0, green=0.7)
+
+
+def village(seed: int, side_m: float) -> Site:
+    """Houses and gardens on a slope of 15-25 degrees with terraces, a gully, scrub."""
+    rng = _rng(seed)
+    gully = River(Line(side_m * 0.7, 0.0, 70.0), 0.5, 5.0, 11.0, swing=6.0, period=70.0)
+    steps = Terraces(Line(0.0, side_m * 0.2, 10.0), 3, 16.0, 1.8, 0.8)
+    terrain = Terrain(
+        2300.0, (0.1, 0.22), (Waves.random(rng, 6.0, 90.0), Waves.random(rng, 0.4, 8.0), gully, steps)
+    )
+    return Site(terrain, side_m, seed, suburb_block, 32.0, street_m=2.5, green=0.45)
+
+
+def park(seed: int, side_m: float) -> Site:
+    """Lawns, trees, meadows, hedges, a pond, some buildings."""
+    rng = _rng(seed)
+    pond = Basin(side_m * 0.3, side_m * 0.3, 11.0, 1.2, 3.0, water=True)
+    terrain = Terrain(40.0, (0.02, 0.01), (Waves.random(rng, 4.0, 90.0), Waves.random(rng, 0.3, 9.0), pond))
+    return Site(terrain, side_m, seed, park_block, 30.0, green=0.95)
+
+
+def plane(seed: int, side_m: float) -> Site:
+    """A tilted plane, nothing on it."""
+    return Site(Terrain(100.0, (0.05, -0.03)), side_m, seed)
+
+
+def hills(seed: int, side_m: float) -> Site:
+    """Hills, a dam and a river bank, nothing on them."""
+    rng = _rng(seed)
+    mounds = []
+    for _ in range(6):
+        x, y, radius = rng.uniform(0, side_m), rng.uniform(0, side_m), rng.uniform(0.1, 0.3) * side_m
+        mounds.append(Hill(x, y, rng.uniform(-8, 15), radius))
+    dam = Embankment(side_m / 2, side_m * 0.75, 15.0, 4.0, 5.0, 7.0)
+    bank = Bank(side_m * 0.8, 5.0, 3.0, side_m * 0.05, side_m)
+    return Site(Terrain(100.0, (0.0, 0.0), (*mounds, dam, bank)), side_m, seed)
+
+
+SITES: dict[str, Callable[[int, float], Site]] = {
+    make.__name__: make
+    for make in (
+        city,
+        suburb,
+        forest,
+        mountain,
+        terraces,
+        quarry,
+        river,
+        halls,
+        mixed,
+        village,
+        park,
+        plane,
+        hills,
+    )
+}
+"""Makers ``(seed, side_m) -> Site`` by name."""
+
+
+def make_site(kind: str, seed: int, side_m: float) -> Site:
+    """The site of that name; raises ConfigError for a name that `SITES` lacks."""
+    if kind not in SITES:
+        raise ConfigError(f"unknown scene {kind!r}: choose one of {', '.join(SITES)}")
+    return SITES[kind](seed, side_m)
+
+
+def scene_points(
+    kind: str = "city", seed: int = 1, side_m: float = 100.0, sensor: Sensor | None = None
+) -> tuple[Floats, UInt8s]:
+    """Points of a site and their true classes.
+
+    Parameters
+    ----------
+    kind : str
+        A name of `SITES`.
+    seed : int
+        The same seed gives the same points.
+    side_m : float
+        Side of the site, metres.
+    sensor : AlsSensor or DimSensor, optional
+        Density, noise, blunders.
+
+    Returns
+    -------
+    xyz : float64, shape (n, 3), metres
+    labels : uint8, shape (n,)
+        As `tiler.simulate.points.Points.label`.
+    """
+    points = survey(make_site(kind, seed, side_m), sensor or AlsSensor())
+    return points.xyz, points.label

@@ -1,0 +1,158 @@
+"""The skin of a site as image matching sees it: one height a pixel, smoothed where it jumps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from tiler.core.classes import GROUND, WATER
+from tiler.simulate.objects import LOW_VEGETATION, Rays, Solid
+from tiler.simulate.points import Box, vegetation_label
+from tiler.simulate.randomness import RELIEF, smooth_noise
+from tiler.simulate.site import Site
+
+Floats = npt.NDArray[np.float64]
+
+PIXEL_M = 0.25
+"""Side of a pixel; its lattice starts at (0, 0)."""
+
+SMEARED_M = 0.2
+"""Ground that smoothing lifts by more belongs to the object beside it."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """Rasters of shape (rows, columns), rows from south to north; the node (0, 0) lies at (x0, y0), metres.
+
+    Attributes
+    ----------
+    x0, y0 : float
+    bare : float64
+        The terrain, metres.
+    sharp, smooth : float64
+        What stands on it included, before and after smoothing, metres.
+    label, beside : uint8
+        ASPRS class before smoothing, and for ground and water that of the nearest object.
+    rise : float64
+        How far objects lift the smoothed skin, metres.
+    thing : int64
+        `solid_number` of the solid that it shows, -1 for none.
+    """
+
+    x0: float
+    y0: float
+    bare: Floats
+    sharp: Floats
+    smooth: Floats
+    label: npt.NDArray[np.uint8]
+    beside: npt.NDArray[np.uint8]
+    rise: Floats
+    thing: npt.NDArray[np.int64]
+
+    def nearest(self, x: Floats, y: Floats) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Row and column of the nearest node of each position (metres)."""
+        row = np.rint((y - self.y0) / PIXEL_M).astype(np.intp)
+        column = np.rint((x - self.x0) / PIXEL_M).astype(np.intp)
+        return row, column
+
+    def height(self, x: Floats, y: Floats) -> Floats:
+        """The smoothed height at each position, bilinear; metres."""
+        return self._between(self.smooth, x, y)
+
+    def labels(self, x: Floats, y: Floats) -> npt.NDArray[np.uint8]:
+        """Class of the smoothed skin at each position: what an object lifts is part of it."""
+        node = self.nearest(x, y)
+        label = self.label[node]
+        lifted = np.isin(label, (GROUND, WATER)) & (self._between(self.rise, x, y) > SMEARED_M)
+        return np.asarray(np.where(lifted, self.beside[node], label))
+
+    def _between(self, raster: Floats, x: Floats, y: Floats) -> Floats:
+        """Bilinear."""
+        place = np.stack(((y - self.y0) / PIXEL_M, (x - self.x0) / PIXEL_M))
+        return np.asarray(ndimage.map_coordinates(raster, place, order=1, mode="nearest"))
+
+    def positions(self) -> tuple[Floats, Floats]:
+        """X and y of all nodes, metres, the rasters' shape."""
+        rows, columns = self.bare.shape
+        x, y = np.meshgrid(self.x0 + PIXEL_M * np.arange(columns), self.y0 + PIXEL_M * np.arange(rows))
+        return x, y
+
+
+def skin_of(site: Site, box: Box, margin_m: float, edge_m: float) -> Skin:
+    """The skin of a box and its margin.
+
+    Parameters
+    ----------
+    site : Site
+    box : (x0, y0, x1, y1), metres
+    margin_m : float
+        Wide enough for what looks around: smoothing, shadows.
+    edge_m : float
+        Standard deviation of the smoothing, metres.
+    """
+    low = [int(np.floor((edge - margin_m) / PIXEL_M)) for edge in box[:2]]
+    high = [int(np.ceil((edge + margin_m) / PIXEL_M)) for edge in box[2:]]
+    x, y = np.meshgrid(np.arange(low[0], high[0] + 1) * PIXEL_M, np.arange(low[1], high[1] + 1) * PIXEL_M)
+    bare = site.terrain.height_at(x, y)
+    flat = _covered(site, x.ravel(), y.ravel(), bare.ravel())
+    sharp, label, thing = (
+        flat[0].reshape(bare.shape),
+        flat[1].reshape(bare.shape),
+        flat[2].reshape(bare.shape),
+    )
+    sigma = edge_m / PIXEL_M
+    smooth = ndimage.gaussian_filter(sharp, sigma, mode="nearest")
+    rise = smooth - ndimage.gaussian_filter(bare, sigma, mode="nearest")
+    beside = _nearest_object(label)
+    return Skin(low[0] * PIXEL_M, low[1] * PIXEL_M, bare, sharp, smooth, label, beside, rise, thing)
+
+
+def solid_number(solid: Solid) -> int:
+    """A number of the solid, not below 0, that depends on its place alone."""
+    return int((round(solid.x * 100) * 73856093 ^ round(solid.y * 100) * 19349663) & (2**40 - 1))
+
+
+def _covered(
+    site: Site, x: Floats, y: Floats, bare: Floats
+) -> tuple[Floats, npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+    """Height, label and solid at each position, seen straight from above."""
+    z = bare.copy()
+    label = np.where(site.terrain.wet_at(x, y), WATER, GROUND).astype(np.uint8)
+    thing = np.full(len(x), -1, np.int64)
+    objects = site.objects_near(x.min(), y.min(), x.max(), y.max())
+    lumps = smooth_noise(site.seed, RELIEF, x, y, 0.8) + 0.7 * smooth_noise(site.seed, RELIEF, x, y, 2.6)
+    for patch in objects.patches:
+        here = np.flatnonzero((np.abs(x - patch.x) <= patch.radius) & (np.abs(y - patch.y) <= patch.radius))
+        depth = patch.inside(x[here], y[here])
+        # Where plants cover little, the matched surface follows the ground between clumps of them.
+        share = np.clip(patch.cover + 0.35 * lumps[here], 0.0, 1.0) * np.clip(4.0 * depth, 0.0, 1.0)
+        tall = 0.8 * patch.height * share
+        here, tall = here[tall > 0.1], tall[tall > 0.1]
+        higher = (bare[here] + tall > z[here]) & (label[here] != WATER)
+        here = here[higher]
+        z[here], label[here] = bare[here] + tall[higher], LOW_VEGETATION
+    none = np.zeros(len(x))
+    rays = Rays(x, y, none, none)
+    for solid in objects.solids:
+        ray, top = solid.hit(rays)
+        ray, top = ray[top > z[ray]], top[top > z[ray]]
+        z[ray], label[ray], thing[ray] = top, solid.label, solid_number(solid)
+    for crown in objects.crowns:
+        ray, top, bottom = crown.chord(rays)
+        # A matched crown is a lumpy dome that hides its lower half.
+        top = top - 0.15 * (top - bottom) * np.abs(lumps[ray])
+        ray, top = ray[top > z[ray]], top[top > z[ray]]
+        z[ray], label[ray], thing[ray] = top, LOW_VEGETATION, -1
+    return z, vegetation_label(label, z - bare), thing
+
+
+def _nearest_object(label: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """The class of the nearest node that is neither ground nor water; unchanged where there is none at all."""
+    low = np.isin(label, (GROUND, WATER))
+    if low.all():
+        return label
+    nearest = ndimage.distance_transform_edt(low, return_distances=False, return_indices=True)
+    return np.asarray(label[tuple(nearest)])
