@@ -27,6 +27,7 @@ COMMANDS = {
     "info": "What a cloud, a store, a result folder or a raster holds.",
     "methods": "The ground filters and their parameters.",
     "evaluate": "Score classes against references, or a DTM against a true one.",
+    "check": "Vertical accuracy of a DTM, its seams, and how flight strips fit.",
     "config": "The effective settings, or a commented file to start from.",
     "demo": "Simulate a small city, run the whole job on it, score it.",
 }

@@ -17,6 +17,7 @@ _NAMES = {
     "cm": Fraction(1, 100), "mm": Fraction(1, 1000), "km": Fraction(1000),
     "ft": FOOT, "foot": FOOT, "feet": FOOT, "ift": FOOT,
     "usft": US_SURVEY_FOOT, "us-ft": US_SURVEY_FOOT, "ftus": US_SURVEY_FOOT, "us_survey_foot": US_SURVEY_FOOT,
+    "us survey foot": US_SURVEY_FOOT,
 }  # fmt: skip
 _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+(?:/[0-9]+)?)\s*([a-zA-Z_-]*)\s*$")
 

@@ -1,0 +1,157 @@
+"""``tiler check``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from cli import exit_codes
+from cli.options import json_option
+from cli.output import print_json, print_table
+from cli.session import TilerCommand
+from tiler.core.units import parse_length, unit_named
+from tiler.errors import ConfigError
+
+FIGURES = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs", "max_abs", "outliers")
+HEADINGS = ("", "points", "RMSE", "mean", "median", "NMAD", "95 % within", "largest", "outliers")
+
+
+@click.command("check", cls=TilerCommand)
+@click.argument("dtm", metavar="DTM", type=click.Path(path_type=Path))
+@click.option("--points", type=click.Path(path_type=Path), metavar="FILE",
+              help="checkpoints: CSV (x, y, z, type NVA or VVA, cover), GeoJSON or GeoPackage "
+              "[default: none]")  # fmt: skip
+@click.option(
+    "--points-crs", metavar="CRS", help="CRS of their x and y [default: what FILE says, else the DTM's]"
+)
+@click.option("--points-unit", metavar="UNIT", help="unit of their heights: m, ft, usft [default: the DTM's]")
+@click.option("--points-rmse", metavar="LENGTH", default="0",
+              help="RMSE of the checkpoints' own heights [unit: m; default: 0]")  # fmt: skip
+@click.option("--tile-size", metavar="LENGTH",
+              help="look for seams at its multiples [unit: m; default: tiles of the run.json beside DTM]")  # fmt: skip
+@click.option("--strips", multiple=True, metavar="CLOUD", type=click.Path(),
+              help="compare the flight strips of classified clouds; repeatable [default: none]")  # fmt: skip
+@click.option("--require", multiple=True, metavar="NAME=VALUE",
+              help="exit code 5 unless rmse, mean, median, nmad, p95, max, seam, strips (at most, m), outliers "
+              "(at most) or points (at least) hold; of NVA points; repeatable [default: none]")  # fmt: skip
+@click.option("--figures", type=click.Path(path_type=Path), metavar="FOLDER",
+              help="draw histogram.svg and map.svg of the checkpoints [default: none]")  # fmt: skip
+@json_option
+def command(
+    dtm: Path,
+    points: Path | None,
+    points_crs: str | None,
+    points_unit: str | None,
+    points_rmse: str,
+    tile_size: str | None,
+    strips: tuple[str, ...],
+    require: tuple[str, ...],
+    figures: Path | None,
+    as_json: bool,
+) -> int:
+    """Vertical accuracy of a DTM, its seams, and how flight strips fit.
+
+    Differences are DTM minus checkpoint, bilinear between pixel centres. By the ASPRS standards, Edition 2: accuracy
+    is the RMSE of non-vegetated checkpoints (NVA), with their own error; a statement needs 30 of them at least; that of
+    vegetated ones (VVA) is told and never judged.
+    """
+    from tiler import check
+
+    requirements = check.parse_requirements(require)
+    if figures is not None and points is None:
+        raise click.UsageError("--figures draws checkpoints; name them with --points")
+    report: dict[str, Any] = {"dtm": str(dtm)}
+    if points is not None:
+        unit = None if points_unit is None else unit_named(points_unit)
+        options = check.PointOptions(points_crs, unit, float(parse_length(points_rmse)))
+        report["accuracy"] = check.check_dtm(dtm, check.read_checkpoints(points), options)
+    seams = check.seams_of(dtm, None if tile_size is None else parse_length(tile_size))
+    if seams is not None:
+        report["seams"] = seams
+    if strips:
+        report["strips"] = check.strip_differences(strips)
+    if len(report) == 1:
+        raise ConfigError(
+            f"{dtm}: nothing to check; name --points, --tile-size (there is no run.json beside it) or --strips"
+        )
+    report["requirements"] = check.judge(requirements, report)
+    report["figures"] = [] if figures is None else check.write_figures(figures, dtm, report["accuracy"])
+    if as_json:
+        print_json(report)
+    else:
+        _print_report(report)
+    met = all(requirement["met"] for requirement in report["requirements"])
+    return exit_codes.DONE if met else exit_codes.PARTIAL
+
+
+def _print_report(report: Mapping[str, Any]) -> None:
+    if "accuracy" in report:
+        _print_accuracy(report["accuracy"])
+    if "seams" in report:
+        _print_seams(report["seams"])
+    if "strips" in report:
+        _print_strips(report["strips"])
+    for requirement in report["requirements"]:
+        value = "not measured" if requirement["value"] is None else f"{requirement['value']:.4g}"
+        state = "met" if requirement["met"] else "NOT met"
+        click.echo(f"required {requirement['name']} {requirement['limit']:g}: {value}, {state}")
+    for path in report["figures"]:
+        click.echo(f"drawn   {path}")
+
+
+def _print_accuracy(facts: Mapping[str, Any]) -> None:
+    rows = [(name.upper(), *_figures(facts[name])) for name in ("nva", "vva", "all") if facts[name]["points"]]
+    rows += [(name, *_figures(figures)) for name, figures in facts["land_cover"].items()]
+    print_table(f"DTM minus checkpoint, {facts['unit']}", HEADINGS, rows)
+    if facts["outside"] or facts["no_height"]:
+        click.echo(
+            f"without a height: {facts['outside']} outside the DTM, {facts['no_height']} where it has no data"
+        )
+    asprs = facts["asprs"]
+    few = f"{facts['nva']['points']} NVA checkpoints, {asprs['least_points']} are needed"
+    click.echo(asprs["statement"] or f"no statement by the ASPRS standards: {few}")
+    for note in facts["notes"]:
+        click.echo(f"note    {note}")
+
+
+def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
+    found = []
+    for name in FIGURES:
+        value = figures[name]
+        if value is None or isinstance(value, int):
+            found.append("-" if value is None else str(value))
+        else:
+            found.append(f"{value:+.3f}" if name in ("bias", "median") else f"{value:.3f}")
+    return tuple(found)
+
+
+def _print_seams(facts: Mapping[str, Any]) -> None:
+    keys = ("mean_step", "largest_step", "mean_jump", "largest_jump")
+    rows = [
+        (name, f"{facts[name]['pairs']:,}", *(_number(facts[name][key]) for key in keys))
+        for name in ("interior", "tiles", "blocks")
+        if name in facts
+    ]
+    columns = ("pixels across", "pairs", "mean step", "largest step", "mean jump", "largest jump")
+    print_table(f"steps between pixels, {facts['unit']}, tiles of {facts['tile']:g}", columns, rows)
+
+
+def _print_strips(facts: Mapping[str, Any]) -> None:
+    if not facts["pairs"]:
+        click.echo(f"strips  none to compare: {len(facts['strips'])} point source ids, no cell with two")
+        return
+    keys = ("rmse", "bias", "median", "nmad", "p95_abs")
+    rows = [
+        (f"{p['second']} - {p['first']}", f"{p['cells']:,}", *(_number(p[key]) for key in keys))
+        for p in facts["pairs"]
+    ]
+    rows.append(("all", f"{facts['cells']:,}", *(_number(facts["all"][key]) for key in keys)))
+    columns = ("strips", "cells", "RMSE", "mean", "median", "NMAD", "95 % within")
+    print_table(f"strips in cells of {facts['cell_m']:g} m, {facts['unit']}", columns, rows)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"

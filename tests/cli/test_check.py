@@ -1,0 +1,68 @@
+"""`tiler check` from the command line: figures, JSON, exit codes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.main import main
+from tests.tiler.check.rasters import tilted, write_surface
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A tilted plane, and 32 checkpoints that lie 0.05 below it."""
+    write_surface(tmp_path / "dtm.tif", tilted)
+    x, y = np.random.default_rng(4).uniform(1, 39, (2, 32))
+    lines = [f"{a},{b},{c - 0.05},NVA,field" for a, b, c in zip(x, y, tilted(x, y), strict=True)]
+    (tmp_path / "points.csv").write_text("x,y,z,type,cover\n" + "\n".join(lines))
+    return tmp_path
+
+
+def test_a_report_for_people(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert (
+        main(["check", str(folder / "dtm.tif"), "--points", str(folder / "points.csv"), "--tile-size", "10"])
+        == 0
+    )
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == "DTM minus checkpoint, metre"
+    assert out[2].split() == ["NVA", "32", "0.050", "+0.050", "+0.050", "0.000", "0.050", "0.050", "0"]
+    assert out[4].split()[0] == "field"
+    assert "RMSEV = 5.0 cm with 32 checkpoints" in out[5]
+    assert any(line.startswith("  tiles ") for line in out)
+
+
+@pytest.mark.parametrize(
+    ("limits", "code"), [(["rmse=0.06"], 0), (["rmse=0.06", "mean=4cm"], 5), (["points=33"], 5)]
+)
+def test_a_requirement_that_fails_ends_with_5(
+    folder: Path, capsys: pytest.CaptureFixture[str], limits: list[str], code: int
+) -> None:
+    required = [part for limit in limits for part in ("--require", limit)]
+    arguments = ["check", str(folder / "dtm.tif"), "--points", str(folder / "points.csv"), *required]
+    assert main([*arguments, "--json", "--figures", str(folder / "f")]) == code
+    report = json.loads(capsys.readouterr().out)
+    assert [r["met"] for r in report["requirements"]].count(False) == (code == 5)
+    assert report["accuracy"]["nva"]["rmse"] == pytest.approx(0.05, abs=1e-4)
+    assert [Path(path).name for path in report["figures"]] == ["histogram.svg", "map.svg"]
+    assert main(arguments) == code
+    assert ("NOT met" in capsys.readouterr().out) == (code == 5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "nothing to check; name --points"),
+        (["--figures", "f"], "--figures draws checkpoints"),
+        (["--tile-size", "10", "--require", "rmse=1"], "is not measured without --points"),
+        (["--tile-size", "-1"], "no length"),
+    ],
+)
+def test_what_is_refused(
+    folder: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", str(folder / "dtm.tif"), *arguments]) == 2
+    assert message in capsys.readouterr().err

@@ -1,0 +1,217 @@
+"""Checkpoints from CSV, GeoJSON and GeoPackage files.
+
+GeoJSON is JSON and a GeoPackage is an SQLite data base, so the standard library reads both; for other formats a
+vector library, which would bring a second GDAL along, does not earn its place: `ogr2ogr` converts them.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.errors import InputError
+
+NVA, VVA = "NVA", "VVA"
+"""Non-vegetated and vegetated vertical accuracy."""
+
+GEOJSON_CRS = "EPSG:4326"
+"""Of RFC 7946, where a file does not name another."""
+
+_COLUMNS = {
+    "x": ("x", "e", "east", "easting", "lon", "longitude", "long"),
+    "y": ("y", "n", "north", "northing", "lat", "latitude"),
+    "z": ("z", "h", "height", "elevation", "elev", "ele", "altitude"),
+    "kind": ("type", "nva_vva", "nva/vva", "accuracy"),
+    "cover": ("cover", "land_cover", "landcover", "land cover", "surface", "class"),
+    "name": ("id", "name", "point", "pt", "fid", "label"),
+}
+"""Names of columns, in lower case."""
+
+_ORDER = ("x", "y", "z", "type", "cover")
+"""Of the columns of a CSV file without a heading."""
+
+Floats = npt.NDArray[np.float64]
+
+
+class Row(NamedTuple):
+    """One checkpoint as its file has it."""
+
+    x: float
+    y: float
+    z: float
+    kind: str
+    cover: str
+    name: str
+
+
+@dataclass(frozen=True)
+class PointOptions:
+    """What a file of checkpoints does not say itself.
+
+    Attributes
+    ----------
+    crs : str or None
+        Of x and y; None: what the file says, else that of the DTM.
+    unit : Fraction or None
+        Metres in one unit of the heights; None: that of the DTM.
+    rmse : float
+        RMSE of the checkpoints' own heights, metres.
+    """
+
+    crs: str | None = None
+    unit: Fraction | None = None
+    rmse: float = 0.0
+
+
+@dataclass(frozen=True)
+class Checkpoints:
+    """Points of known height.
+
+    Attributes
+    ----------
+    xy : float64 [2, n]
+    z : float64 [n]
+        In units of the file.
+    kinds : tuple of str
+        ``NVA`` or ``VVA``.
+    covers : tuple of str
+        Land cover; empty where the file has none.
+    names : tuple of str
+    crs : str or None
+        What the file says of itself: WKT or authority code.
+    notes : tuple of str
+    """
+
+    xy: Floats
+    z: Floats
+    kinds: tuple[str, ...]
+    covers: tuple[str, ...]
+    names: tuple[str, ...]
+    crs: str | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+
+def read_checkpoints(path: Path | str) -> Checkpoints:
+    """The points of a file.
+
+    Parameters
+    ----------
+    path : path
+        ``.csv`` or ``.txt``: comma, semicolon or tab between columns x, y, z and, if wanted, type (NVA or VVA), land
+        cover, id, found by their heading or, without one, by this order; lines that begin with # are skipped.
+        ``.geojson``, ``.json``: features that are points, heights in the geometry or a property. ``.gpkg``: the
+        one layer of points.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is of another format, or a line has no coordinates.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; name a CSV, GeoJSON or GeoPackage file of checkpoints")
+    crs: str | None = None
+    notes: list[str] = []
+    if suffix in (".csv", ".txt"):
+        rows = list(_csv_rows(path))
+    elif suffix in (".geojson", ".json"):
+        from tiler.check.vector import geojson_rows
+
+        rows, crs = geojson_rows(path)
+    elif suffix == ".gpkg":
+        from tiler.check.vector import geopackage_rows
+
+        rows, crs = geopackage_rows(path)
+    else:
+        raise InputError(
+            f"{path}: checkpoints are read from .csv, .txt, .geojson, .json and .gpkg files; "
+            "convert it, for example with `ogr2ogr points.gpkg FILE`"
+        )
+    if not rows:
+        raise InputError(f"{path}: holds no checkpoint")
+    kinds = tuple(_kind(path, row.kind) for row in rows)
+    if not any(row.kind for row in rows):
+        notes.append("no column says NVA or VVA: all checkpoints count as non-vegetated (NVA)")
+    return Checkpoints(
+        np.array([[row.x for row in rows], [row.y for row in rows]], np.float64),
+        np.array([row.z for row in rows], np.float64),
+        kinds,
+        tuple(row.cover for row in rows),
+        tuple(row.name or str(number) for number, row in enumerate(rows, start=1)),
+        crs,
+        tuple(notes),
+    )
+
+
+def row_of(values: Mapping[str, Any], place: str) -> Row:
+    """A row from named values; raises InputError where x, y or z is no finite number."""
+    found = {wanted: _value(values, names) for wanted, names in _COLUMNS.items()}
+    numbers = []
+    for axis in ("x", "y", "z"):
+        text = found[axis]
+        try:
+            number = float(text if text is not None else "")
+        except (TypeError, ValueError):
+            number = math.nan
+        if not math.isfinite(number):
+            what = "is missing" if text is None else f"{str(text)!r} is no number (1234.5, with a point)"
+            raise InputError(f"{place}: {axis} {what}")
+        numbers.append(number)
+    kind, cover, name = ("" if (v := found[k]) is None else str(v).strip() for k in ("kind", "cover", "name"))
+    return Row(numbers[0], numbers[1], numbers[2], kind, cover, name)
+
+
+def _value(values: Mapping[str, Any], names: Sequence[str]) -> Any:
+    return next((values[name] for name in names if values.get(name) is not None), None)
+
+
+def _kind(path: Path, text: str) -> str:
+    """NVA or VVA; empty is NVA."""
+    kind = text.upper() or NVA
+    if kind not in (NVA, VVA):
+        raise InputError(f"{path}: type {text!r} is neither NVA nor VVA; name land cover in a column `cover`")
+    return kind
+
+
+def _csv_rows(path: Path) -> Iterator[Row]:
+    try:
+        lines = path.read_text("utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); save it as UTF-8 text") from error
+    numbered = [(i, s) for i, s in enumerate(lines, start=1) if s.strip() and not s.lstrip().startswith("#")]
+    if not numbered:
+        return
+    first = numbered[0][1]
+    delimiter = max(";\t,", key=first.count)
+    records = zip(
+        (i for i, _ in numbered), csv.reader((s for _, s in numbered), delimiter=delimiter), strict=True
+    )
+    head = [cell.strip().lower() for cell in next(csv.reader([first], delimiter=delimiter))]
+    if _is_number(head[0]) or (len(head) > 1 and _is_number(head[1])):
+        names: Iterable[str] = _ORDER
+    else:
+        names = head
+        next(records)
+    for number, record in records:
+        cells = {name: text.strip() for name, text in zip(names, record, strict=False) if text.strip()}
+        yield row_of(cells, f"{path}: line {number}")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
