@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -94,8 +93,6 @@ def real_scenes(data: Path) -> Iterator[BenchScene]:
 
 def simulated_scenes() -> Iterator[BenchScene]:
     """The scenes of the simulator's catalogue."""
-    if importlib.util.find_spec("tiler.simulate.catalogue") is None:
-        return
     from tiler.simulate.catalogue import SCENES
 
     for name, spec in SCENES.items():
