@@ -13,7 +13,9 @@ import numpy.typing as npt
 from ptd.cells import Int32
 from ptd.certify import Doubt, UInt8
 from ptd.criteria import Limits, accepts
+from ptd.frame import Cells, Scale, Window
 from ptd.kernel import kernel, wide
+from ptd.seeds import RING, box_with_ring, choose_seeds
 from ptd.tin.insertion import insert
 from ptd.tin.layout import N_TRIANGLES, STAMP, Int32Array, is_ghost
 from ptd.tin.location import locate
@@ -159,3 +161,48 @@ def densify(
         if stop is not None and stop():
             break
     return doubtful, stamp
+
+
+def densify_seeds(
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    outlier: npt.NDArray[np.bool_],
+    seed_cells: Cells,
+    limits: Limits,
+    rounds: int,
+    known: Window,
+    scale: Scale,
+) -> tuple[Tin, UInt8, int]:
+    """The TIN of the lowest points per seed cell and their ring (`ptd.seeds`), densified.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Candidates, local counts; neighbours in the array near each other; at least one is no outlier.
+    outlier : bool [n]
+        Neither seeds nor vertices.
+    seed_cells : Cells
+    limits : Limits
+    rounds : int
+        See `densify`.
+    known : Window
+        Where all candidates, and which are outliers, are known.
+    scale : Scale
+
+    Returns
+    -------
+    tin : Tin
+    in_doubt : uint8 [triangles]
+        See `ptd.certify.Doubt.triangles`.
+    rounds : int
+        How many were run.
+    """
+    doubt = Doubt(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
+    seeds = choose_seeds(x, y, z, ~outlier, seed_cells, doubt)
+    state = np.where(outlier, np.uint8(REFUSED), np.uint8(WAITING)).astype(np.uint8)
+    state[seeds.chosen] = VERTEX
+    first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
+    tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
+    _, run = densify(tin, x, y, z, state, limits, rounds, doubt)
+    return tin, doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles), run

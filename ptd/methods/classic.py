@@ -41,16 +41,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import cell_keys, lowest_per_cell
-from ptd.certify import Doubt
-from ptd.densify import REFUSED, VERTEX, densify
+from ptd.densify import densify_seeds
 from ptd.frame import Cells, Scale, Window
 from ptd.labelling import UNCLASSIFIED, LowNoise, Terrain
 from ptd.methods.progressive import Progressive
 from ptd.outliers import low_outliers
 from ptd.params import parameter
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
-from ptd.seeds import RING, box_with_ring, choose_seeds
-from ptd.tin.mesh import Tin
 
 
 @dataclass(frozen=True)
@@ -113,17 +110,12 @@ class ClassicModel(Model):
     def _densify(self, x: Int32, y: Int32, z: Int32, window: Window) -> None:
         p, scale = self.params, self.scale
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
-        seed_cells = Cells.of(p.max_building_size_m, scale)
         # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
         known = window.inside(self.cells, p.margin_cells)
-        doubt = Doubt(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
-        seeds = choose_seeds(x, y, z, ~outlier, seed_cells, doubt)
-        state = np.where(outlier, np.uint8(REFUSED), np.uint8(0)).astype(np.uint8)
-        state[seeds.chosen] = VERTEX
-        first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
-        tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
-        _, rounds = densify(tin, x, y, z, state, self.limits, p.rounds, doubt)
-        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        seed_cells = Cells.of(p.max_building_size_m, scale)
+        tin, in_doubt, rounds = densify_seeds(
+            x, y, z, outlier, seed_cells, self.limits, p.rounds, known, scale
+        )
         low = LowNoise(x[outlier], y[outlier], z[outlier], self.cells)
         floor = scale.counts(p.label_floor_m) if p.label_pass else 0.0
         self.terrain = Terrain(tin, in_doubt, low, self.limits, floor, vertices_only=not p.label_pass)
