@@ -45,6 +45,8 @@ class RunConfig:
                                     unit="m", kind="length")  # fmt: skip
     max_edge: Fraction = setting(Fraction(100), "a pixel is nodata where its facet's longest edge or circumradius "
                                  "is longer", unit="m", kind="length")  # fmt: skip
+    spike: Fraction = setting(Fraction(5), "the DSM leaves out a highest return that rises so far above all returns "
+                              "around it (next pixels, at least 1 m)", unit="m", kind="length")  # fmt: skip
     memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "
                                  "if that is less", unit="bytes", kind="bytes")  # fmt: skip
     workers: int | None = setting(None, "worker processes, one thread each; default: cores", kind="int")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from tiler.core.lattice import Cell
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import Block, RasterSpec
 from tiler.export import write_cog
-from tiler.grid import density_block, derive_block
+from tiler.grid import density_block, derive_block, distance_block, full_halo, reach_pixels, surface_block
 from tiler.plan import GRID_BLOCK, Plan
 from tiler.schedule import Task, Work, digest_of
 from tiler.tasks import Assembled, ground_arguments, raster_spec
@@ -20,10 +21,14 @@ Commits = Mapping[str, tuple[str, dict[str, Any]]]
 Made = Mapping[str, Commits]
 """Name of a raster -> the commits of its blocks."""
 
-DERIVED = {"hillshade": ("dtm",), "slope": ("dtm",)}
+DERIVED = {"ndsm": ("dsm", "dtm"), "hillshade": ("dtm",), "slope": ("dtm",)}
 """Products that follow from other rasters, and from which."""
 
-FROM_POINTS: dict[str, Work] = {"density": density_block}
+FROM_POINTS: dict[str, Work] = {
+    "dsm": surface_block,
+    "density": density_block,
+    "distance": distance_block,
+}
 
 
 def wanted(products: tuple[str, ...]) -> list[str]:
@@ -34,9 +39,11 @@ def wanted(products: tuple[str, ...]) -> list[str]:
     return [name for name in PRODUCTS if name in names]
 
 
-def fill_of(product: str) -> float:
+def fill_of(name: str, plan: Plan) -> float:
     """What the store holds where no block was written."""
-    nodata = PRODUCTS[product].nodata
+    if name == "distance":
+        return float(plan.config.max_edge)
+    nodata = PRODUCTS[name].nodata
     return 0.0 if nodata is None else nodata
 
 
@@ -52,9 +59,11 @@ def product_tasks(
 
 def _point_tasks(name: str, plan: Plan, assembled: Assembled, labels: Mapping[Cell, str]) -> Iterator[Task]:
     spec = raster_spec(plan, assembled)
-    common = {"name": name, "spec": spec.to_json(), **ground_arguments(plan)}
+    special, reach = _point_arguments(name, plan, assembled)
+    common = {"name": name, "spec": spec.to_json(), **ground_arguments(plan), **special}
     for block in spec.blocks(GRID_BLOCK):
-        near = [cell for cell in plan.meta.bucket.cells(spec.block_bounds(block)) if cell in labels]
+        window = spec.block_bounds(block).pad(reach)
+        near = [cell for cell in plan.meta.bucket.cells(window) if cell in labels]
         if not near:
             continue
         arguments = {**common, "block": [block.row, block.col, block.height, block.width]}
@@ -63,11 +72,27 @@ def _point_tasks(name: str, plan: Plan, assembled: Assembled, labels: Mapping[Ce
         yield Task(f"grid-{name}", block.name, digest, FROM_POINTS[name], arguments, points)
 
 
+def _point_arguments(name: str, plan: Plan, assembled: Assembled) -> tuple[dict[str, Any], int]:
+    """Arguments of a product alone, and how far its pixels see, in counts."""
+    frame = plan.meta.frame
+    limit = frame.counts(plan.config.max_edge)
+    if name == "distance":
+        return {"cap": str(limit)}, math.ceil(limit) + 1
+    if name == "dsm":
+        reach = reach_pixels(plan.resolution)
+        arguments = {
+            "data": assembled.bounds().to_json(), "max_edge": str(limit), "reach": reach,
+            "spike": str(plan.config.spike / frame.metres_z), "halo": math.ceil(frame.counts(plan.grid_halo)),
+        }  # fmt: skip
+        return arguments, full_halo(limit) + math.ceil((reach + 1) * frame.counts(plan.resolution))
+    return {}, 0
+
+
 def _derived_tasks(name: str, plan: Plan, assembled: Assembled, made: Made) -> Iterator[Task]:
     """Their pixels see one pixel of the blocks around."""
     spec = raster_spec(plan, assembled)
     sources = {source: source for source in DERIVED[name]}
-    common = {"name": name, "product": name, "spec": spec.to_json(), "fill": fill_of(name), **sources}
+    common = {"name": name, "product": name, "spec": spec.to_json(), "fill": fill_of(name, plan), **sources}
     for block in spec.blocks(GRID_BLOCK):
         if any(block.name not in made[source] for source in sources.values()):
             continue

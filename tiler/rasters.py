@@ -34,7 +34,7 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> dict[str, C
 
 def _blocks(job: Job, spec: RasterSpec, name: str, tasks: list[Task], warm: Warm | None = None) -> Commits:
     """Make one raster of the store."""
-    stage, fill = f"grid-{name}", fill_of(name)
+    stage, fill = f"grid-{name}", fill_of(name, job.plan)
     done, stale = job.sorted_out(stage, tasks)
     job.take_back(stage, stale)
     job.store.create_raster(name, spec.height, spec.width, fill)

@@ -48,8 +48,11 @@ class Product:
 
 PRODUCTS: dict[str, Product] = {
     "dtm": Product("terrain height"),
+    "dsm": Product("surface height: highest return"),
+    "ndsm": Product("height of the surface above the terrain"),
     "hillshade": Product("multidirectional hillshade", "", "uint8", 0, predictor="STANDARD"),
     "slope": Product("slope", "degree"),
     "density": Product("ground points per square metre", "1/m2", nodata=None),
+    "distance": Product("distance to the nearest ground point", "metre", nodata=None),
 }  # fmt: skip
 """In the order in which they are made."""

@@ -37,7 +37,7 @@ def full_halo(max_edge: Fraction) -> int:
 
 
 @dataclass(frozen=True)
-class _Job:
+class GridJob:
     """The arguments of `grid_block`, read."""
 
     spec: RasterSpec
@@ -115,7 +115,7 @@ def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[n
         Vertical units of the CRS, `NODATA` where there is none.
     record : dict
     """
-    job = _job(args)
+    job = read_job(args)
     bounds = job.spec.block_bounds(job.block)
     max_halo = args.get("max_halo") or full_halo(job.max_edge)
     halo = min(max(args["halo"], math.ceil(job.spec.lattice.size)), max_halo)
@@ -123,12 +123,12 @@ def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[n
     while True:
         window = bounds.pad(halo)
         ground, xyz = _ground(store, job, window)
-        raster = _rasterise(store, job, window, xyz)
+        raster = rasterise_window(store, job, window, xyz)
         marked = int(raster.marks.sum())
         if marked == 0 or halo >= max_halo:
             break
         halo, tries = min(2 * halo, max_halo), tries + 1
-    heights = _heights(raster)
+    heights = heights_in_units(raster)
     filled = int(np.count_nonzero(heights != np.float32(NODATA)))
     return heights, {
         "pixels": heights.size,
@@ -143,9 +143,10 @@ def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[n
     }
 
 
-def _job(args: dict[str, Any]) -> _Job:
+def read_job(args: dict[str, Any]) -> GridJob:
+    """The arguments of a task that grids a TIN."""
     thin = args.get("thin_cell")
-    return _Job(
+    return GridJob(
         RasterSpec.from_json(args["spec"]),
         Block(*args["block"]),
         GroundRule.from_args(args),
@@ -155,7 +156,7 @@ def _job(args: dict[str, Any]) -> _Job:
     )
 
 
-def _ground(store: TileStore, job: _Job, window: Bounds) -> tuple[Ground, npt.NDArray[np.int32]]:
+def _ground(store: TileStore, job: GridJob, window: Bounds) -> tuple[Ground, npt.NDArray[np.int32]]:
     """Ground points read, and the coordinates of those in the window that make the TIN."""
     if job.thin is None:
         ground = read_ground(store, job.rule, window)
@@ -169,18 +170,23 @@ def _ground(store: TileStore, job: _Job, window: Bounds) -> tuple[Ground, npt.ND
     return ground, xyz[:, inside]
 
 
-def _rasterise(store: TileStore, job: _Job, window: Bounds, xyz: npt.NDArray[np.int32]) -> Raster:
+def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels:
+    """The pixels of a block, as kernels want them."""
+    return Pixels(
+        spec.lattice.p, spec.lattice.q,
+        left=spec.west + block.col, top=spec.north - 1 - block.row, columns=block.width, rows=block.height,
+        origin_x=origin[0], origin_y=origin[1],
+    )  # fmt: skip
+
+
+def rasterise_window(store: TileStore, job: GridJob, window: Bounds, xyz: npt.NDArray[np.int32]) -> Raster:
     """Heights in counts, NaN where there are none, and marks of the block's pixels."""
     east, north = store.meta.frame.origin
     spec, block, limit = job.spec, job.block, float(job.max_edge)
     try:
         return rasterise(
             Tin.build(xyz[0], xyz[1], xyz[2]),
-            Pixels(
-                spec.lattice.p, spec.lattice.q,
-                left=spec.west + block.col, top=spec.north - 1 - block.row, columns=block.width, rows=block.height,
-                origin_x=east, origin_y=north,
-            ),
+            pixels_of(spec, block, (east, north)),
             max_edge=limit, max_radius=limit,
             window=Window(
                 window.x0 - east, window.y0 - north, window.x1 - east, window.y1 - north,
@@ -194,7 +200,7 @@ def _rasterise(store: TileStore, job: _Job, window: Bounds, xyz: npt.NDArray[np.
         ) from error
 
 
-def _heights(raster: Raster) -> npt.NDArray[np.float32]:
+def heights_in_units(raster: Raster) -> npt.NDArray[np.float32]:
     """Heights in vertical units of the CRS, `NODATA` where there are none."""
     heights = (raster.heights / COUNTS_PER_UNIT).astype(np.float32)
     heights[np.isnan(raster.heights)] = NODATA

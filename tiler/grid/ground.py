@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import GROUND, WITHHELD_FLAG
-from tiler.core.lattice import Bounds, Lattice
+from tiler.core.classes import GROUND, NOISE, WITHHELD_FLAG
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.points import PointBlock
 from tiler.errors import StoreError
 from tiler.store import TileStore
 
@@ -60,17 +61,41 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds) -> Ground:
         if cell not in present:
             continue
         block = store.read_bucket(cell, columns)
-        classes = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
-        if classes is None or block.flags is None:
-            raise StoreError(
-                f"{store.url}: bucket {cell.name} lacks its classes or flags; start anew with --overwrite"
-            )
-        chosen = is_ground[classes] & ((block.flags & (rule.skip_flags | WITHHELD_FLAG)) == 0)
+        column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
+        classes = _there(column, store, cell)
+        chosen = is_ground[classes] & _used(block, rule, store, cell)
         chosen &= block.inside(bounds, store.meta.frame.origin)
         parts.append(block.xyz[:, chosen])
         if rule.labels is not None:
             marked += int(np.count_nonzero(classes[chosen] & MARK_BIT))
     return Ground(np.concatenate(parts, axis=1), marked)
+
+
+def surface_points(
+    store: TileStore, rule: GroundRule, cell: Cell
+) -> tuple[PointBlock, npt.NDArray[np.bool_]]:
+    """All points of a bucket, and which of them are surface: no noise by the input or by the filter, not withheld."""
+    block = store.read_bucket(cell, ("xyz", "flags", "classification"))
+    chosen = _used(block, rule, store, cell)
+    chosen &= ~np.isin(_there(block.classification, store, cell), NOISE)
+    if rule.labels is not None:
+        chosen &= ~np.isin(store.read_labels(rule.labels, cell) & ~np.uint8(MARK_BIT), NOISE)
+    return block, chosen
+
+
+def _used(block: PointBlock, rule: GroundRule, store: TileStore, cell: Cell) -> npt.NDArray[np.bool_]:
+    """Points that no flag keeps out."""
+    flags = _there(block.flags, store, cell)
+    mask: npt.NDArray[np.bool_] = (flags & (rule.skip_flags | WITHHELD_FLAG)) == 0
+    return mask
+
+
+def _there(column: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell) -> npt.NDArray[np.uint8]:
+    if column is None:
+        raise StoreError(
+            f"{store.url}: bucket {cell.name} lacks its classes or flags; start anew with --overwrite"
+        )
+    return column
 
 
 def whole_cells(bounds: Bounds, lattice: Lattice) -> Bounds:

@@ -1,0 +1,107 @@
+"""The highest returns of each pixel, and which of them nothing around supports."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from ptd.kernel import kernel, wide
+
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+
+NOTHING = np.iinfo(np.int32).min
+"""Height of a pixel without a return."""
+
+
+@kernel
+def _higher(ax: int, ay: int, az: int, bx: int, by: int, bz: int) -> bool:
+    """Whether return a goes before b: higher, then lexicographically smaller in (x, y)."""
+    if az != bz:
+        return az > bz
+    if ax != bx:
+        return ax < bx
+    return ay < by
+
+
+@kernel
+def _update(top: Int32, pixels: Int64, x: Int32, y: Int32, z: Int32) -> None:
+    """Enter returns into the two highest ones of their pixels."""
+    for i in range(pixels.size):
+        first, second = top[pixels[i], 0], top[pixels[i], 1]
+        px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
+        if pz == first[2] and px == first[0] and py == first[1]:
+            continue  # the same return once more is no second one
+        if _higher(px, py, pz, wide(first[0]), wide(first[1]), wide(first[2])):
+            second[:] = first
+            first[0], first[1], first[2] = px, py, pz
+        elif _higher(px, py, pz, wide(second[0]), wide(second[1]), wide(second[2])):
+            second[0], second[1], second[2] = px, py, pz
+
+
+class HighestReturns:
+    """The two highest returns of each pixel of a block, whatever the order in which points come.
+
+    Parameters
+    ----------
+    rows, columns : int
+
+    Attributes
+    ----------
+    top : int32 [rows * columns, 2, 3]
+        x, y, z of the highest and of the second, another one; z is `NOTHING` where there is none.
+    """
+
+    def __init__(self, rows: int, columns: int) -> None:
+        self.rows, self.columns = rows, columns
+        self.top = np.full((rows * columns, 2, 3), NOTHING, np.int32)
+
+    def add(self, pixels: Int64, xyz: Int32) -> None:
+        """Enter points.
+
+        Parameters
+        ----------
+        pixels : int64 [n]
+            ``row * columns + column`` of each.
+        xyz : int32 [3, n]
+        """
+        _update(self.top, pixels, *xyz)
+
+    def supported(self, reach: int, spike: float) -> Int32:
+        """The highest return of each pixel that is no spike.
+
+        A return is one if no other return in the pixels around it reaches to within ``spike`` below it, or higher: a
+        bird, a cloud, a blunder of matching. Then the second takes its place if it is none; else the pixel
+        is empty. Returns of neighbours count as they are, so two spikes side by side stay; so does the lowest of a
+        pixel that has nothing around to compare with.
+
+        Parameters
+        ----------
+        reach : int
+            Pixels around, to each side; within that distance of the block's edge the answer holds only
+            where nothing lies beyond.
+        spike : float
+            Counts.
+
+        Returns
+        -------
+        int32 [rows, columns, 3]
+            x, y, z; z is `NOTHING` for none.
+        """
+        first, second = self.top[:, 0], self.top[:, 1]
+        heights = first[:, 2].reshape(self.rows, self.columns)
+        around = np.ones((2 * reach + 1, 2 * reach + 1), np.bool_)
+        around[reach, reach] = False
+        beside = ndimage.maximum_filter(heights, footprint=around, mode="constant", cval=NOTHING).ravel()
+        limit = math.floor(spike)
+        others = np.maximum(beside, second[:, 2]).astype(np.int64)
+        alone = others == NOTHING
+        good = alone | (first[:, 2] - others <= limit)
+        second_good = (beside == NOTHING) | (second[:, 2] - beside.astype(np.int64) <= limit)
+        second_good &= second[:, 2] != NOTHING
+        chosen = np.where(good[:, np.newaxis], first, second)
+        chosen[~(good | second_good), 2] = NOTHING
+        return chosen.reshape(self.rows, self.columns, 3)

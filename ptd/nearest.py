@@ -1,0 +1,188 @@
+"""The nearest points of pixel centres: points binned by pixel, searched ring by ring. Exact in integers.
+
+Ties are decided by the points themselves (distance, then x, y, z), so no order, tile or frame shows.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from ptd.kernel import kernel, wide
+from ptd.tin.gridding import Pixels
+
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+
+NONE = -1
+"""In place of an index: there are fewer points within reach."""
+
+
+class Nearest(NamedTuple):
+    """Result of `nearest_points`.
+
+    Attributes
+    ----------
+    squared : int64 [rows, columns, k]
+        Squared distances in counts from near to far, from the centre rounded down to whole counts.
+    points : int32 [rows, columns, k]
+        Their indices, `NONE` where there are no more within reach.
+    """
+
+    squared: Int64
+    points: Int32
+
+
+@kernel
+def _bin(
+    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, west: int, north: int, rows: int, columns: int
+) -> tuple[Int64, Int32]:
+    """Points by pixel: where each pixel's begin in the order (int64 [rows * columns + 1]), and the order (int32)."""
+    cells = np.empty(x.size, np.int64)
+    starts = np.zeros(rows * columns + 1, np.int64)
+    for i in range(x.size):
+        column = ((wide(x[i]) + ox) * q) // p - west
+        row = north - ((wide(y[i]) + oy) * q) // p
+        inside = 0 <= column < columns and 0 <= row < rows
+        cells[i] = row * columns + column if inside else -1
+        if inside:
+            starts[cells[i] + 1] += 1
+    for cell in range(rows * columns):
+        starts[cell + 1] += starts[cell]
+    free = starts[:-1].copy()
+    order = np.empty(starts[-1], np.int32)
+    for i in range(x.size):
+        if cells[i] >= 0:
+            order[free[cells[i]]] = i
+            free[cells[i]] += 1
+    return starts, order
+
+
+@kernel
+def _before(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
+    """Whether point i goes before j at the same distance."""
+    if x[i] != x[j]:
+        return bool(x[i] < x[j])
+    if y[i] != y[j]:
+        return bool(y[i] < y[j])
+    return bool(z[i] < z[j])
+
+
+@kernel
+def _look_in(
+    x: Int32, y: Int32, z: Int32, starts: Int64, order: Int32, cell: int, cx: int, cy: int, reach2: int,
+    squared: Int64, index: Int32, found: int,
+) -> int:  # fmt: skip
+    """Merge the points of a cell into the ``found`` nearest ones of a pixel, sorted; their new number."""
+    k = index.size
+    for j in range(starts[cell], starts[cell + 1]):
+        i = wide(order[j])
+        dx, dy = wide(x[i]) - cx, wide(y[i]) - cy
+        d2 = dx * dx + dy * dy
+        if d2 > reach2 or (found == k and d2 > squared[k - 1]):
+            continue
+        slot = found if found < k else k - 1
+        if found == k and d2 == squared[slot] and not _before(x, y, z, i, wide(index[slot])):
+            continue
+        while slot > 0 and (
+            squared[slot - 1] > d2 or (squared[slot - 1] == d2 and _before(x, y, z, i, wide(index[slot - 1])))
+        ):
+            squared[slot], index[slot] = squared[slot - 1], index[slot - 1]
+            slot -= 1
+        squared[slot], index[slot] = d2, i
+        found = min(found + 1, k)
+    return found
+
+
+@kernel
+def _search(
+    x: Int32, y: Int32, z: Int32, starts: Int64, order: Int32, empty: Int32, pad: int,
+    x0: int, y0: int, step: int, scale: int, reach: float, squared: Int64, index: Int32,
+) -> None:  # fmt: skip
+    """Fill ``squared`` and ``index``; ``empty`` has the number of empty rings around each bin."""
+    rows, columns, k = index.shape
+    height, width = empty.shape
+    size = float(step) / float(scale)
+    reach2 = wide(math.floor(reach * reach))
+    for row in range(rows):
+        cy = (y0 - row * step) // scale
+        for column in range(columns):
+            cx = (x0 + column * step) // scale
+            at_row, at_column = row + pad, column + pad
+            found = wide(0)
+            near, which = squared[row, column], index[row, column]
+            ring = wide(empty[at_row, at_column])
+            while True:
+                # All points nearer than this have been seen (one count for the rounded centre).
+                seen = (float(ring) - 0.5) * size - 1.0
+                if seen > reach or (found == k and seen > 0.0 and float(near[k - 1]) < seen * seen):
+                    break
+                if ring > max(height, width):
+                    break
+                for r in range(max(at_row - ring, 0), min(at_row + ring, height - 1) + 1):
+                    whole = r == at_row - ring or r == at_row + ring
+                    c = at_column - ring
+                    while c <= at_column + ring:
+                        if 0 <= c < width:
+                            cell = r * width + c
+                            if starts[cell + 1] > starts[cell]:
+                                found = _look_in(
+                                    x, y, z, starts, order, cell, cx, cy, reach2, near, which, found
+                                )
+                        c += 1 if whole or ring == 0 else 2 * ring
+                ring += 1
+
+
+def nearest_points(x: Int32, y: Int32, z: Int32, pixels: Pixels, k: int, reach: float) -> Nearest:
+    """The ``k`` nearest points of each pixel centre, within a distance.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts; those farther than ``reach`` from all pixels do no harm.
+    pixels : Pixels
+        Its origin has to be the points' local 0.
+    k : int
+    reach : float
+        Counts; points farther away are none.
+
+    Returns
+    -------
+    Nearest
+
+    Raises
+    ------
+    ValueError
+        If ``k`` is below 1, or ``reach`` is below 0 or 2**26 counts and more.
+    """
+    if k < 1 or not 0 <= reach < 2**26:
+        raise ValueError(f"k is {k}, reach {reach} counts: need k >= 1 and 0 <= reach < 2**26")
+    squared = np.full((pixels.rows, pixels.columns, k), np.iinfo(np.int64).max, np.int64)
+    index = np.full((pixels.rows, pixels.columns, k), NONE, np.int32)
+    if x.size == 0 or index.size == 0:
+        return Nearest(squared, index)
+    lattice, pad = pixels.lattice, math.ceil(reach * pixels.q / pixels.p) + 1
+    height, width = pixels.rows + 2 * pad, pixels.columns + 2 * pad
+    starts, order = _bin(
+        x,
+        y,
+        pixels.p,
+        pixels.q,
+        pixels.origin_x,
+        pixels.origin_y,
+        pixels.left - pad,
+        pixels.top + pad,
+        height,
+        width,
+    )
+    if order.size == 0:
+        return Nearest(squared, index)
+    occupied = (np.diff(starts) > 0).reshape(height, width)
+    empty = ndimage.distance_transform_cdt(~occupied, metric="chessboard")
+    arguments = (lattice.x0, lattice.y0, lattice.step, lattice.scale, float(reach))
+    _search(x, y, z, starts, order, empty, pad, *arguments, squared, index)
+    return Nearest(squared, index)

@@ -1,0 +1,117 @@
+"""The surface model and the distance to the ground: true by definition, and no block shows."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from tests.tiler.grid.conftest import Scene
+from tests.tiler.grid.test_block import islands, l_shape, scattered, void
+from tiler.core.classes import WITHHELD_FLAG
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Lattice
+from tiler.core.raster import NODATA, RasterSpec
+from tiler.core.units import FOOT, METRE, Units
+from tiler.grid.block import read_job
+from tiler.grid.distance import distance_block
+from tiler.grid.surface import surface_heights
+
+PIXEL = Fraction(2000)
+
+
+def dsm(scene: Scene, block: int = 512, **options: Any) -> tuple[np.ndarray, list[dict]]:
+    spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
+    arguments = {
+        "spec": spec.to_json(), "data": scene.data.to_json(), "labels": "final", "max_edge": "50000", "halo": 0,
+        "reach": 1, "spike": "5000", **options,
+    }  # fmt: skip
+    heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
+    for b in spec.blocks(block):
+        args = {**arguments, "block": [b.row, b.col, b.height, b.width]}
+        part, record = surface_heights(scene.store, read_job(args), args)
+        heights[b.row : b.row + b.height, b.col : b.col + b.width] = part
+        records.append(record)
+    return heights, records
+
+
+def pixels_of_points(scene: Scene, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
+    return spec.north - 1 - xyz[:, 1] // 2000, xyz[:, 0] // 2000 - spec.west
+
+
+def test_each_pixel_has_its_highest_return(make_scene) -> None:
+    xyz = scattered(9_000, 120_000)
+    scene = make_scene(xyz)
+    heights, (record,) = dsm(scene)
+    truth = np.full(heights.shape, -np.inf)
+    np.maximum.at(truth, pixels_of_points(scene, xyz), xyz[:, 2] / 1000)
+    measured = np.isfinite(truth)
+    assert record["measured"] == measured.sum()
+    assert np.array_equal(heights[measured], truth[measured].astype(np.float32))
+    # A pixel without a return has a height between those of the others.
+    gaps = ~measured & (heights != np.float32(NODATA))
+    assert gaps.sum() > 50
+    assert heights[gaps].min() > truth[measured].min()
+
+
+def test_spikes_noise_and_withheld_points_are_left_out(make_scene) -> None:
+    xyz = scattered(20_000, 120_000)
+    clean, _ = dsm(make_scene(xyz))
+    _, rows = np.unique(xyz[:, :2] // 20_000, axis=0, return_index=True)  # no two side by side
+    rows = rows[(xyz[rows, :2] % 20_000 < 14_000).all(axis=1)]
+    extra = xyz[rows] + np.array([1, 1, 90_000])
+    labels = np.concatenate(
+        (np.full(len(xyz), 2, np.uint8), np.resize(np.uint8([1, 7, 18, 0x87, 2]), len(rows)))
+    )
+    flags = np.zeros(len(labels), np.uint8)
+    flags[-1] = WITHHELD_FLAG
+    odd, _ = dsm(make_scene(np.concatenate((xyz, extra)), labels, flags))
+    assert odd.tobytes() == clean.tobytes()
+    kept, _ = dsm(make_scene(np.concatenate((xyz, extra)), labels, flags), spike="100000")
+    higher = kept > clean + 50
+    assert 0 < higher.sum() <= np.isin(labels[-len(rows) :], (1, 2)).sum()
+
+
+@pytest.mark.parametrize("shape", [lambda p: p, void, l_shape, islands], ids=["full", "void", "l", "islands"])
+def test_blocks_do_not_show(make_scene, shape) -> None:
+    xyz = shape(scattered(4_000, 100_000))
+    xyz[::97, 2] += 30_000
+    scene = make_scene(xyz)
+    whole, (record,) = dsm(scene)
+    assert record["marked"] == 0
+    for block, halo in ((17, 0), (40, 60_000)):
+        tiled, records = dsm(scene, block, halo=halo)
+        assert tiled.tobytes() == whole.tobytes()
+        assert sum(r["marked"] for r in records) == 0
+    other, _ = dsm(make_scene(xyz[::-1], frame=CoordFrame(origin=(-5_000, 70_001)), bucket=23_000), 25)
+    assert other.tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize("shape", [void, islands], ids=["void", "islands"])
+@pytest.mark.parametrize("unit", [METRE, FOOT], ids=["metres", "feet"])
+def test_the_distance_is_that_of_the_nearest_ground_point(make_scene, shape, unit) -> None:
+    xyz = shape(scattered(6_000, 140_000))
+    labels = np.where(xyz[:, 0] % 3 > 0, 2, 6).astype(np.uint8)
+    scene = make_scene(xyz, labels, frame=CoordFrame(Units(unit, unit)))
+    spec, cap = RasterSpec.covering(Lattice(Fraction(1000)), scene.data), 15_000
+    scene.store.create_raster("distance", spec.height, spec.width, 0.0)
+    records = [
+        distance_block(scene.store.url, {
+            "name": "distance", "spec": spec.to_json(), "labels": "final", "cap": str(cap),
+            "block": [b.row, b.col, b.height, b.width],
+        })
+        for b in spec.blocks(512)
+    ]  # fmt: skip
+    (found,) = [scene.store.read_block("distance", b) for b in spec.blocks(1024)]
+    x = (np.arange(spec.width) + spec.west) * 1000 + 500
+    y = (spec.north - np.arange(spec.height)) * 1000 - 500
+    centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    truth, _ = KDTree(xyz[labels == 2, :2]).query(centres)
+    truth = np.minimum(truth, cap).reshape(found.shape) * float(unit) / 1000
+    assert np.abs(found - truth).max() < 1e-5
+    assert found.max() == np.float32(15 * float(unit))
+    assert records[0]["filled"] < found.size

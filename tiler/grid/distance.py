@@ -1,0 +1,63 @@
+"""The distance from each pixel's centre to the nearest ground point."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.nearest import nearest_points
+from tiler.core.raster import Block, RasterSpec
+from tiler.grid.block import pixels_of
+from tiler.grid.checksum import checksum
+from tiler.grid.ground import GroundRule, read_ground
+from tiler.store import TileStore, open_store
+
+FIRST_SHARE = 4
+"""The first look at a block reaches this part of the cap; few blocks need more."""
+
+
+def distance_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write one block of the distance to the nearest ground point in plan; a `tiler.schedule.task.Work`.
+
+    In metres, from the pixel's centre (rounded down to a whole count); where it is farther than ``cap``, the cap.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``name``, ``spec``, ``block``, ``labels``, ``classes``, ``skip_flags``: as those of `grid_block`. ``cap``:
+        counts, as a fraction in text.
+
+    Returns
+    -------
+    dict
+        ``pixels``, ``filled`` (pixels nearer than the cap); ``checksum``.
+    """
+    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
+    cap, rule = Fraction(args["cap"]), GroundRule.from_args(args)
+    found = ground_distance(store, rule, spec, block, cap / FIRST_SHARE)
+    if np.isinf(found).any():
+        found = ground_distance(store, rule, spec, block, cap)
+    metres = float(store.meta.frame.metres_xy)
+    values = (np.minimum(found, float(cap)) * metres).astype(np.float32)
+    store.write_block(args["name"], block, values)
+    return {
+        "pixels": values.size,
+        "filled": int(np.isfinite(found).sum()),
+        "checksum": checksum(values),
+    }
+
+
+def ground_distance(
+    store: TileStore, rule: GroundRule, spec: RasterSpec, block: Block, reach: Fraction
+) -> npt.NDArray[np.float64]:
+    """Distances in counts, float64 (height, width), infinite beyond ``reach`` counts."""
+    xyz = read_ground(store, rule, spec.block_bounds(block).pad(math.ceil(reach) + 1)).xyz
+    pixels = pixels_of(spec, block, store.meta.frame.origin)
+    nearest = nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, float(reach))
+    squared = nearest.squared[..., 0].astype(np.float64)
+    return np.where(nearest.points[..., 0] < 0, np.inf, np.sqrt(squared))

@@ -1,0 +1,111 @@
+"""The surface model: the highest return of each pixel without spikes, and the TIN of these where a pixel has none."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.highest import NOTHING, HighestReturns
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds
+from tiler.core.raster import NODATA, Block
+from tiler.grid.block import GridJob, full_halo, heights_in_units, rasterise_window, read_job
+from tiler.grid.checksum import checksum
+from tiler.grid.density import pixel_indices
+from tiler.grid.ground import surface_points
+from tiler.store import TileStore, open_store
+
+Int32 = npt.NDArray[np.int32]
+
+
+def surface_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write one block of the surface model; a `tiler.schedule.task.Work`.
+
+    All points but the withheld ones and noise (classes 7 and 18, by the input or by the filter) take part: water and
+    bridges are surface. Spikes are left out as `HighestReturns.supported` says, among the pixels within ``reach``. A
+    pixel with a return has its height; one without is interpolated on the TIN of the other pixels' returns
+    under the same limit as the terrain.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        As those of `grid_block` (``classes`` and ``thin_cell`` have no say), and ``spike``: vertical counts;
+        ``reach``: pixels.
+
+    Returns
+    -------
+    dict
+        ``pixels``, ``filled``, ``measured`` (pixels with a return), ``marked``, ``tries``, ``halo``; ``checksum``.
+    """
+    store, job = open_store(store_url), read_job(args)
+    heights, record = surface_heights(store, job, args)
+    store.write_block(args["name"], job.block, heights)
+    return {**record, "checksum": checksum(heights)}
+
+
+def surface_heights(
+    store: TileStore, job: GridJob, args: dict[str, Any]
+) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+    """Heights of any block, and the record but for the checksum; see `surface_block`."""
+    block, bounds, limit = job.block, job.spec.block_bounds(job.block), full_halo(job.max_edge)
+    own = _returns(store, job, block, args)
+    measured = own[..., 2] != NOTHING
+    heights = np.where(measured, own[..., 2] / COUNTS_PER_UNIT, NODATA).astype(np.float32)
+    # Where every pixel has a return there is nothing to interpolate.
+    halo, tries, marked = 0, 1, 0
+    while not measured.all():
+        halo = min(max(2 * halo, args["halo"], math.ceil(job.spec.lattice.size)), limit)
+        window = bounds.pad(halo)
+        raster = rasterise_window(store, job, window, _vertices(store, job, window, args))
+        marks = raster.marks & ~measured
+        marked = int(marks.sum())
+        if marked == 0 or halo >= limit:
+            heights = np.where(measured, heights, heights_in_units(raster))
+            break
+        tries += 1
+    filled = int(np.count_nonzero(heights != np.float32(NODATA)))
+    return heights, {
+        "pixels": heights.size, "filled": filled, "measured": int(measured.sum()), "marked": marked, "tries": tries,
+        "halo": halo,
+    }  # fmt: skip
+
+
+def _vertices(store: TileStore, job: GridJob, window: Bounds, args: dict[str, Any]) -> Int32:
+    """Local counts (3, n) of the pixels' returns in a window; pixels that it cuts are judged whole."""
+    lattice, spec = job.spec.lattice, job.spec
+    west, east = lattice.index_of(window.x0), lattice.index_of(window.x1 - 1) + 1
+    south, north = lattice.index_of(window.y0), lattice.index_of(window.y1 - 1) + 1
+    block = Block(spec.north - north, west - spec.west, north - south, east - west)
+    returns = _returns(store, job, block, args).reshape(-1, 3).T
+    returns = returns[:, returns[2] != NOTHING]
+    origin = store.meta.frame.origin
+    x, y = (returns[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
+    inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
+    return np.ascontiguousarray(returns[:, inside])
+
+
+def _returns(store: TileStore, job: GridJob, block: Block, args: dict[str, Any]) -> Int32:
+    """Highest supported return of each pixel, int32 (height, width, 3), bucket by bucket."""
+    reach, origin = int(args["reach"]), store.meta.frame.origin
+    wider = Block(block.row - reach, block.col - reach, block.height + 2 * reach, block.width + 2 * reach)
+    bounds, present = job.spec.block_bounds(wider), store.buckets()
+    highest = HighestReturns(wider.height, wider.width)
+    for cell in store.meta.bucket.cells(bounds):
+        if cell not in present:
+            continue
+        points, chosen = surface_points(store, job.rule, cell)
+        chosen &= points.inside(bounds, origin)
+        xyz = np.ascontiguousarray(points.xyz[:, chosen])
+        highest.add(pixel_indices(xyz, origin, job.spec, wider), xyz)
+    supported = highest.supported(reach, float(Fraction(args["spike"])))
+    return supported[reach : reach + block.height, reach : reach + block.width]
+
+
+def reach_pixels(pixel_m: Fraction) -> int:
+    """Pixels around in which a return looks for support: the next one, and all within a metre."""
+    return max(math.ceil(1 / pixel_m), 1)
