@@ -12,8 +12,8 @@ from cli.output import print_facts, print_json
 from cli.session import TilerCommand, current_session
 
 SETTINGS = (
-    "method", "parameters", "tile_size", "halo", "memory", "workers", "units", "keep_classes", "skip_synthetic",
-    "skip_overlap", "salvage",
+    "method", "parameters", "sigma", "tile_size", "halo", "memory", "workers", "units", "keep_classes",
+    "skip_synthetic", "skip_overlap", "salvage",
 )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from tiler.core.units import parse_length
 from tiler.errors import ConfigError
 from tiler.observe.events import Listener
 
-SETTINGS = ("method", "parameters", "units", "tile_size", "halo", "memory", "workers")
+SETTINGS = ("method", "parameters", "sigma", "units", "tile_size", "halo", "memory", "workers")
 
 
 @click.command("evaluate", cls=TilerCommand)

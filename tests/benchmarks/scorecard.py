@@ -47,7 +47,7 @@ class Cell:
 
     Attributes
     ----------
-    method, scene, family : str
+    method, scene, family, group : str
     points : int
     refusal : str or None
         Why there is no result.
@@ -64,6 +64,7 @@ class Cell:
     method: str
     scene: str
     family: str
+    group: str
     points: int
     refusal: str | None = None
     type_1: float | None = None
@@ -92,7 +93,9 @@ def all_filters() -> dict[str, Filter]:
 
 def measure(name: str, run: Filter, scene: BenchScene, cloud: Cloud, repeats: int) -> Cell:
     """Run a filter on a scene: once for the labels, then for the time."""
-    cell = {"method": name, "scene": scene.name, "family": scene.family, "points": len(cloud.xyz)}
+    cell = {
+        "method": name, "scene": scene.name, "family": scene.family, "group": scene.group, "points": len(cloud.xyz),
+    }  # fmt: skip
     try:
         ground = run(cloud)
     except ValueError as refusal:

@@ -12,6 +12,10 @@ import numpy as np
 VIRTUAL = 66
 """A producer's points that nobody measured: they are no part of a scene."""
 
+ISPRS_SAMPLES = "ISPRS samples"
+OTHER_REAL = "other real clouds"
+SIMULATED = {"als": "simulated laser scanning", "dim": "simulated image matching"}
+
 ISPRS = ("11", "12", "22", "24", "31", "42", "51", "53")
 
 
@@ -43,10 +47,14 @@ class Cloud:
 
 @dataclass(frozen=True)
 class BenchScene:
-    """A scene by name; `load` reads or makes it."""
+    """A scene by name; `load` reads or makes it.
+
+    Scenes of a family are averaged, those of a group stand in one table.
+    """
 
     name: str
     family: str
+    group: str
     load: Callable[[], Cloud]
 
 
@@ -76,19 +84,20 @@ def read_clouds(paths: Sequence[Path]) -> Cloud:
 
 def real_scenes(data: Path) -> Iterator[BenchScene]:
     """The labelled clouds of a folder of real data; nothing of what is not there."""
-    found = [("ISPRS samples", f"samp{n}", [data / f"isprs/samp{n}-utm.laz"]) for n in ISPRS]
+    found = [(ISPRS_SAMPLES, f"samp{n}", [data / f"isprs/samp{n}-utm.laz"]) for n in ISPRS]
     found += [
-        ("other airborne LiDAR", "AHN3 row houses", [data / "ahn3/ahn3_cropped_2.laz"]),
-        ("other airborne LiDAR", "IGN six tiles", sorted((data / "ign/tiles50m").glob("*.laz"))),
-        ("other airborne LiDAR", "IGN buildings", [data / "ign/bat.laz"]),
-        ("other airborne LiDAR", "IGN crop 1", [data / "ign/crop_1.laz"]),
-        ("other airborne LiDAR", "IGN crop 3", [data / "ign/crop_3.laz"]),
-        ("other airborne LiDAR", "IGN town, thinned", [data / "ign/test_semis_2023_0292_6833.laz"]),
+        ("other laser scanning", "AHN3 row houses", [data / "ahn3/ahn3_cropped_2.laz"]),
+        ("other laser scanning", "IGN six tiles", sorted((data / "ign/tiles50m").glob("*.laz"))),
+        ("other laser scanning", "IGN buildings", [data / "ign/bat.laz"]),
+        ("other laser scanning", "IGN crop 1", [data / "ign/crop_1.laz"]),
+        ("other laser scanning", "IGN crop 3", [data / "ign/crop_3.laz"]),
+        ("other laser scanning", "IGN town, thinned", [data / "ign/test_semis_2023_0292_6833.laz"]),
         ("image matching", "Brighton park", [data / "dim/brighton_east.laz"]),
     ]
     for family, name, paths in found:
         if paths and all(path.is_file() for path in paths):
-            yield BenchScene(name, family, partial(read_clouds, paths))
+            group = family if family == ISPRS_SAMPLES else OTHER_REAL
+            yield BenchScene(name, family, group, partial(read_clouds, paths))
 
 
 def simulated_scenes() -> Iterator[BenchScene]:
@@ -96,7 +105,9 @@ def simulated_scenes() -> Iterator[BenchScene]:
     from tiler.simulate.catalogue import SCENES
 
     for name, spec in SCENES.items():
-        yield BenchScene(name, f"simulated {spec.scene_class}", partial(simulated, name))
+        yield BenchScene(
+            name, f"simulated {spec.scene_class}", SIMULATED[spec.kind], partial(simulated, name)
+        )
 
 
 def simulated(name: str) -> Cloud:

@@ -39,14 +39,10 @@ def markdown(cells: Sequence[Cell], reference: str, repeats: int) -> str:
         Timed runs of each.
     """
     families = list(dict.fromkeys(cell.family for cell in cells))
-    parts = [
-        HEAD.format(repeats=repeats),
-        "## Means over the scenes of a class\n",
-        _means(cells, families),
-    ]
-    for family in families:
-        parts += [f"## {_capital(family)}\n", _scenes([c for c in cells if c.family == family])]
-    parts += ["## Speed and memory\n", _speed(cells, families, reference)]
+    parts = [HEAD.format(repeats=repeats), "## Means over the scenes of a class\n", _means(cells, families)]
+    for group in dict.fromkeys(cell.group for cell in cells):
+        parts += [f"## {_capital(group)}\n", _scenes([c for c in cells if c.group == group])]
+    parts += ["## Speed and memory\n", _speed(cells, reference)]
     refusals = {(c.method, c.refusal): c for c in cells if c.refusal is not None}
     if refusals:
         parts += ["## What refused, and why\n", _refusals(cells)]
@@ -82,29 +78,51 @@ def _mean(cells: Sequence[Cell], key: str) -> float | None:
 
 
 def _means(cells: Sequence[Cell], families: Sequence[str]) -> str:
-    """Mean errors of each method in each class."""
-    rows = []
-    for method in _methods(cells):
-        row = [method]
-        for family in families:
-            own = [c for c in cells if (c.method, c.family) == (method, family)]
-            refused = sum(c.refusal is not None for c in own)
-            if refused:
-                row.append(f"refused {refused} of {len(own)}")
-            else:
-                row.append(" / ".join(percent(_mean(own, k)) for k in ("type_1", "type_2", "total", "kappa")))
-        rows.append(row)
-    count = {f: len({c.scene for c in cells if c.family == f}) for f in families}
-    return f"{ERRORS}.\n\n" + table(["method", *(f"{f} ({count[f]})" for f in families)], rows)
+    """Mean errors of each method in each class, and over all; the lowest total in bold."""
+    simulated = [c for c in cells if c.group.startswith("simulated")]
+    rows = [_mean_row(cells, f, [c for c in cells if c.family == f]) for f in families]
+    if simulated:
+        real = [c for c in cells if c not in simulated]
+        rows += [
+            _mean_row(cells, name, own)
+            for name, own in (("all real", real), ("all simulated", simulated))
+            if own
+        ]
+    rows.append(_mean_row(cells, "all", cells))
+    note = (
+        f"{ERRORS}, and the RMSE of the DTM where it is known everywhere; each scene has the same weight, the lowest "
+        "total of a class is bold.\n\n"
+    )
+    return note + table(["class (scenes)", *_methods(cells)], rows)
+
+
+def _mean_row(cells: Sequence[Cell], name: str, own: Sequence[Cell]) -> list[str]:
+    by_method = {m: [c for c in own if c.method == m] for m in _methods(cells)}
+    totals = {m: total for m, some in by_method.items() if (total := _mean(some, "total")) is not None}
+    best = min(totals.values(), default=None)
+    row = [f"{name} ({len({c.scene for c in own})})"]
+    for method, some in by_method.items():
+        refused = sum(c.refusal is not None for c in some)
+        if refused:
+            row.append(f"refused {refused} of {len(some)}")
+            continue
+        figures = [percent(_mean(some, key)) for key in ("type_1", "type_2", "total", "kappa")]
+        if totals.get(method) == best:
+            figures[2] = f"**{figures[2]}**"
+        rmse = _mean(some, "dtm_rmse_m") if all(c.dtm_rmse_m is not None for c in some) else None
+        row.append(" / ".join(figures) + ("" if rmse is None else f", {rmse:.3f} m"))
+    return row
 
 
 def _scenes(cells: Sequence[Cell]) -> str:
-    """Every scene of a class."""
+    """Every scene of a group."""
     methods = _methods(cells)
     rows = []
     for scene in dict.fromkeys(cell.scene for cell in cells):
         own = {c.method: c for c in cells if c.scene == scene}
-        rows.append([f"{scene}, {own[methods[0]].points:,} points", *(_cell(own[m]) for m in methods)])
+        first = own[methods[0]]
+        of = "" if first.family == first.group else f" ({first.family.removeprefix('simulated ')})"
+        rows.append([f"{scene}{of}, {first.points:,} points", *(_cell(own[m]) for m in methods)])
     known = any(cell.dtm_rmse_m is not None for cell in cells)
     note = ERRORS + (", RMSE of the DTM at 1 m" if known else "") + ".\n\n"
     return note + table(["scene", *methods], rows)
@@ -117,7 +135,7 @@ def _cell(cell: Cell) -> str:
     return text if cell.dtm_rmse_m is None else f"{text}, {cell.dtm_rmse_m:.3f} m"
 
 
-def _speed(cells: Sequence[Cell], families: Sequence[str], reference: str) -> str:
+def _speed(cells: Sequence[Cell], reference: str) -> str:
     """Points a second, time beside the reference's on the same scenes, bytes a point: medians over the scenes."""
     own_time = {c.scene: c.seconds for c in cells if c.method == reference}
     kinds: tuple[tuple[str, Callable[[Cell], float | None]], ...] = (
@@ -126,17 +144,18 @@ def _speed(cells: Sequence[Cell], families: Sequence[str], reference: str) -> st
         ("bytes a point", lambda c: _over(c.peak_bytes, c.points)),
     )
     rows = []
-    for method in _methods(cells):
-        row = [method]
-        for family in families:
-            own = [c for c in cells if (c.method, c.family) == (method, family) and c.refusal is None]
+    for group in dict.fromkeys(cell.group for cell in cells):
+        row = [group]
+        for method in _methods(cells):
+            own = [c for c in cells if (c.method, c.group) == (method, group) and c.refusal is None]
             figures = []
             for _, figure in kinds:
                 values = [v for cell in own if (v := figure(cell)) is not None]
                 figures.append(f"{median(values):.3g}" if values else "-")
             row.append(" / ".join(figures))
         rows.append(row)
-    return " / ".join(name for name, _ in kinds) + ".\n\n" + table(["method", *families], rows)
+    note = " / ".join(name for name, _ in kinds)
+    return f"{note}; medians over the scenes.\n\n" + table(["scenes", *_methods(cells)], rows)
 
 
 def _over(part: float | None, whole: float | None) -> float | None:

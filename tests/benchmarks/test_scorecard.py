@@ -27,7 +27,7 @@ def plain() -> Cloud:
     return Cloud(xyz, classes, truth=lambda x, y: np.full(np.shape(x), 0.1), side_m=60.0)
 
 
-SCENES = [BenchScene("house", "tiny", plain), BenchScene("again", "tiny", plain)]
+SCENES = [BenchScene(name, "tiny", "simulated things", plain) for name in ("house", "again")]
 
 
 def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: object) -> None:
@@ -57,7 +57,9 @@ def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert (none["refusal"], none["total"], none["seconds"]) == ("needs rgb", None, None)
     text = (tmp_path / "card.md").read_text()
     share = f"0.00 / 100.00 / {100 * house / (house + ground):.2f} / 0.00"
-    assert text.count(share) == 3  # both scenes and their mean
+    assert text.count(share) == 2 + 3  # both scenes; the means of the class, of the simulated, of all
+    assert f"**{100 * best['total']:.2f}**" in text
+    assert "| tiny (2) |" in text
     assert f"{share}, {worst['dtm_rmse_m']:.3f} m" in text
     assert "refused 2 of 2" in text
     assert "- `picky` on house, again: needs rgb" in text

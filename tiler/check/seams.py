@@ -179,14 +179,15 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
     Raises
     ------
     TilerError
-        As `seam_steps` and `edges_of_run`.
+        As `seam_steps` and `edges_of_run`; always where the DTM cannot be read.
     """
+    metres = horizontal_unit(Path(dtm))
     if tile_m is None:
         edges = edges_of_run(Path(dtm))
         return None if edges is None else seam_steps(dtm, edges)
     if tile_m <= 0:
         raise ConfigError(f"--tile-size {tile_m}: must be above 0")
-    return seam_steps(dtm, TileEdges(float(tile_m / horizontal_unit(Path(dtm)))))
+    return seam_steps(dtm, TileEdges(float(tile_m / metres)))
 
 
 def _pairs(raster: Any, edges: TileEdges) -> Iterator[Pairs]:

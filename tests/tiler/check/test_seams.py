@@ -95,3 +95,5 @@ def test_what_is_refused(tmp_path: Path) -> None:
             seams_of(path, Fraction(tile))
     with pytest.raises(InputError, match="cannot be read"):
         seam_steps(tmp_path / "absent.tif", TileEdges(10))
+    with pytest.raises(InputError, match="cannot be read"):
+        seams_of(tmp_path / "absent.tif", None)
