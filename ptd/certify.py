@@ -25,6 +25,7 @@ MAX_RASTER = 1024
 Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
+Bool = npt.NDArray[np.bool_]
 
 
 @kernel
@@ -62,7 +63,12 @@ def _circle_in_doubt(
         return True
     ux, uy = (cy * b2 - by * c2) / area, (bx * c2 - cx * b2) / area
     radius = math.sqrt(ux * ux + uy * uy) * (1.0 + 1e-6) + 1.0
-    x, y = ax + ux, ay + uy
+    return _disk_in_doubt(ax + ux, ay + uy, radius, sides, cell, free)
+
+
+@kernel
+def _disk_in_doubt(x: float, y: float, radius: float, sides: Float64, cell: float, free: Float32) -> bool:
+    """Whether a disk may hold a place in doubt."""
     if not _within(x, y, radius, sides[0:4]):
         return True
     if not _within(x, y, radius, sides[4:8]) and not _within(x, y, radius, sides[8:12]):
@@ -99,6 +105,14 @@ def _doubtful_triangles(
             float(vertices[4 * c] - ax), float(vertices[4 * c + 1] - ay),
             float(ax), float(ay), sides, float(cell), free,
         )  # fmt: skip
+
+
+@kernel
+def _disks_in_doubt(
+    x: Int32Array, y: Int32Array, radius: float, sides: Float64, cell: float, free: Float32, out: Bool
+) -> None:
+    for i in range(x.size):
+        out[i] = _disk_in_doubt(float(x[i]), float(y[i]), radius, sides, cell, free)
 
 
 class Doubt:
@@ -151,13 +165,23 @@ class Doubt:
     def triangles(self, vertices: Int32Array, triangles: Int32Array, n: int) -> UInt8:
         """1 for each triangle whose circumcircle may hold a place in doubt, or that has no circle: uint8 [n]."""
         out = np.zeros(n, np.uint8)
-        if not self.active:
-            return out
+        if self.active:
+            _doubtful_triangles(vertices, triangles, n, self._sides, self.cell, self._fresh(), out)
+        return out
+
+    def near(self, x: Int32Array, y: Int32Array, radius: float) -> Bool:
+        """Whether a place in doubt may lie within a radius (counts) of positions (local counts): bool [n]."""
+        out = np.zeros(x.size, np.bool_)
+        if self.active:
+            _disks_in_doubt(x, y, float(radius), self._sides, float(self.cell), self._fresh(), out)
+        return out
+
+    def _fresh(self) -> Float32:
+        """Free cells around each, as the raster is now."""
         if self._stale:
             self._free = _free_cells(self.mask)
             self._stale = False
-        _doubtful_triangles(vertices, triangles, n, self._sides, self.cell, self._free, out)
-        return out
+        return self._free
 
 
 def _free_cells(mask: UInt8) -> Float32:

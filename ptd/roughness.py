@@ -99,7 +99,7 @@ def _sums(
 
 
 @kernel
-def _plane(s: Int64, z_ratio: float) -> tuple[float, float, float, float]:
+def fit_plane(s: Int64, z_ratio: float) -> tuple[float, float, float, float]:
     """Least squares ``z = c + a x + b y`` in horizontal counts from moments: a, b, c, sum of squared residuals.
 
     The last is -1 where the points lie on a line.
@@ -129,14 +129,14 @@ def _patches(
         n = total[0]
         if n < MIN_POINTS:
             continue
-        a, b, c, squares = _plane(total, z_ratio)
+        a, b, c, squares = fit_plane(total, z_ratio)
         variance = squares / (n - 3)
         cos = 1.0 / math.sqrt(1.0 + a * a + b * b)
         if squares < 0.0 or math.sqrt(variance) * cos > largest or a * a + b * b > STEEPEST * STEEPEST:
             continue
         parts = 0.0
         for quarter in range(4):
-            left = _plane(sums[k, quarter], z_ratio)[3]
+            left = fit_plane(sums[k, quarter], z_ratio)[3]
             parts = parts + left if left >= 0.0 and parts >= 0.0 else -1.0
         if parts / (n - 12 if n > 12 else 1) < LEAST_QUARTERS * variance and squares > 0.0:
             continue

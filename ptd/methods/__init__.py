@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from ptd.methods import classic
+from ptd.methods import classic, dong2017
 from ptd.params import parse
 from ptd.passes import Method
 
-METHODS: dict[str, Method] = {m.name: m for m in (classic.METHOD,)}
+METHODS: dict[str, Method] = {m.name: m for m in (classic.METHOD, dong2017.METHOD)}
 
 
 def make_params(name: str, texts: dict[str, str] | None = None) -> Any:

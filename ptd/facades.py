@@ -1,0 +1,306 @@
+"""Seeds of a town in image matching: facades by the density of projected points, roads beside them.
+
+Source: Dong 2017 (004), section 3.1 and equations 1 and 3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import CellIndex, Int32, Int64, slot_of
+from ptd.frame import Cells, Scale
+from ptd.kernel import kernel
+from ptd.roughness import fit_plane
+
+Bool = npt.NDArray[np.bool_]
+
+BLOCK = 1
+"""Cells around a seed's own in which its surroundings have to be flat."""
+
+MIN_BLOCK_POINTS = 6
+"""Fewer points around a seed say nothing about how flat its place is."""
+
+NOISE_QUANTILE = 1.65
+"""Of a difference of two heights in equation 1, sqrt(2) sigma each time."""
+
+
+class FacadeRule(NamedTuple):
+    """What facades and the roads beside them look like.
+
+    Attributes
+    ----------
+    straight, diagonal : int
+        Cells from a facade to a road, along and across the lattice.
+    min_drop : float
+        Vertical counts that the road lies below the other side.
+    variation : float
+        Horizontal counts: the noise around a seed's plane stays below.
+    z_ratio : float
+        Horizontal counts in one vertical count.
+    """
+
+    straight: int
+    diagonal: int
+    min_drop: float
+    variation: float
+    z_ratio: float
+
+
+def density_of(points_by_count: Mapping[int, int], cell_area_m2: float) -> float:
+    """Points per square metre of flat ground: the median over all occupied cells.
+
+    Parameters
+    ----------
+    points_by_count : mapping
+        Number of points -> how many points lie in cells that hold so many. Sums of points, each in its own tile,
+        need no owner for a cell that a tile's border cuts.
+    cell_area_m2 : float
+    """
+    cells = {count: points // count for count, points in sorted(points_by_count.items())}
+    half, seen = (sum(cells.values()) + 1) // 2, 0
+    for count, n in cells.items():
+        seen += n
+        if seen >= half:
+            return count / cell_area_m2
+    return 0.0
+
+
+def facade_threshold(density_m2: float, height_m: float, cell_m: float, glass_factor: float) -> float:
+    """Points of a cell that a facade crosses, ``(DEN h g + DEN g^2) c`` (004, equation 3).
+
+    The equation is printed without DEN in its second term; both are areas (of the facade, of the ground) times points
+    per area. c: part of a facade is glass, which is not matched (section 3.3.2).
+    """
+    return glass_factor * density_m2 * (height_m * cell_m + cell_m * cell_m)
+
+
+@kernel
+def _median_point(x: Int32, y: Int32, z: Int32, order: Int64, first: int, last: int) -> int:
+    """The point of the (lower) median height of a cell; of equal heights by (x, y)."""
+    heights = np.empty(last - first, np.int32)
+    for k in range(first, last):
+        heights[k - first] = z[order[k]]
+    heights.sort()
+    middle = heights[(heights.size - 1) // 2]
+    best = -1
+    for k in range(first, last):
+        i = order[k]
+        if z[i] == middle and (best < 0 or x[i] < x[best] or (x[i] == x[best] and y[i] < y[best])):
+            best = i
+    return int(best)
+
+
+@kernel
+def _clearance2(
+    slots: Int32, keys: Int64, width: int, height: int, facade: Bool, column: int, row: int, reach: int
+) -> int:
+    """Squared cells to the nearest facade cell within `reach` columns and rows, (reach + 1)^2 if there is none."""
+    nearest = (reach + 1) * (reach + 1)
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            slot = slot_of(slots, keys, width, height, column + dx, row + dy)
+            if slot >= 0 and facade[slot]:
+                nearest = min(nearest, dx * dx + dy * dy)
+    return nearest
+
+
+@kernel
+def _road_points(
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    slots: Int32,
+    keys: Int64,
+    starts: Int64,
+    order: Int64,
+    width: int,
+    height: int,
+    facade: Bool,
+    rule: FacadeRule,
+) -> Int32:
+    """The median point of the road cell of each facade cell, -1 where there is none: int32 [cells]."""
+    median = np.full(keys.size, -2, np.int32)
+    chosen = np.full(keys.size, -1, np.int32)
+    steps = np.array([[1, 0], [0, 1], [1, 1], [1, -1]])
+    ends = np.empty(2, np.int64)
+    for s in range(keys.size):
+        if not facade[s]:
+            continue
+        row, column = keys[s] // width, keys[s] % width
+        farthest = -1
+        for d in range(4):
+            size = rule.straight if d < 2 else rule.diagonal
+            dx, dy = size * steps[d, 0], size * steps[d, 1]
+            for side in range(2):
+                sign = 1 - 2 * side
+                ends[side] = slot_of(slots, keys, width, height, column + sign * dx, row + sign * dy)
+                if ends[side] >= 0 and median[ends[side]] == -2:
+                    e = ends[side]
+                    median[e] = _median_point(x, y, z, order, starts[e], starts[e + 1])
+            if ends[0] < 0 or ends[1] < 0:
+                continue
+            z0, z1 = z[median[ends[0]]], z[median[ends[1]]]
+            lower = 0 if z0 < z1 else 1
+            road = ends[lower]
+            if abs(float(z0) - float(z1)) < rule.min_drop or facade[road]:
+                continue
+            sign = 1 - 2 * lower
+            clear = _clearance2(
+                slots, keys, width, height, facade, column + sign * dx, row + sign * dy, rule.straight
+            )
+            here = median[road]
+            if clear > farthest or (clear == farthest and z[here] < z[chosen[s]]):
+                farthest = clear
+                chosen[s] = here
+    return chosen
+
+
+@kernel
+def _variation(
+    x: Int32, y: Int32, z: Int32, slots: Int32, keys: Int64, starts: Int64, order: Int64, width: int, height: int,
+    column: int, row: int, origin: int, z_ratio: float,
+) -> float:  # fmt: skip
+    """Root mean square of the residuals of a plane through the points of a block of cells; inf where there is none.
+
+    The sums are of whole numbers, relative to a point of the block: the order of the points changes no bit.
+    """
+    s = np.zeros(10, np.int64)
+    for r in range(row - BLOCK, row + BLOCK + 1):
+        for c in range(column - BLOCK, column + BLOCK + 1):
+            slot = slot_of(slots, keys, width, height, c, r)
+            if slot < 0:
+                continue
+            for k in range(starts[slot], starts[slot + 1]):
+                i = order[k]
+                dx, dy, dz = (
+                    np.int64(x[i]) - x[origin],
+                    np.int64(y[i]) - y[origin],
+                    np.int64(z[i]) - z[origin],
+                )
+                moments = (1, dx, dy, dz, dx * dx, dx * dy, dy * dy, dx * dz, dy * dz, dz * dz)
+                for m in range(10):
+                    s[m] += moments[m]
+    if s[0] < MIN_BLOCK_POINTS:
+        return math.inf
+    a, b, _, squares = fit_plane(s, z_ratio)
+    return math.inf if squares < 0.0 else math.sqrt(squares / (s[0] - 3) / (1.0 + a * a + b * b))
+
+
+@kernel
+def _flat(
+    x: Int32, y: Int32, z: Int32, slots: Int32, keys: Int64, starts: Int64, order: Int64, width: int, height: int,
+    seeds: Int32, columns: Int64, rows: Int64, largest: float, z_ratio: float,
+) -> Bool:  # fmt: skip
+    out = np.zeros(seeds.size, np.bool_)
+    for k in range(seeds.size):
+        at = columns[k], rows[k], seeds[k]
+        found = _variation(x, y, z, slots, keys, starts, order, width, height, at[0], at[1], at[2], z_ratio)
+        out[k] = found < largest
+    return out
+
+
+class Facades:
+    """The cells of a window that hold a facade.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts of all points but vegetation; at least one.
+    cells : Cells
+    min_points : float
+        See `facade_threshold`.
+    """
+
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells, min_points: float) -> None:
+        self.x, self.y, self.z = x, y, z
+        self.index = CellIndex(x, y, cells)
+        self.holds = np.diff(self.index.starts) > min_points
+
+    def points(self) -> Int64:
+        """Indices of the points in facade cells."""
+        i = self.index
+        parts = [i.order[i.starts[s] : i.starts[s + 1]] for s in np.flatnonzero(self.holds)]
+        return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+
+    def seeds(self, rule: FacadeRule) -> Int32:
+        """Points on roads beside facades (004, 3.1, step 3); int32 [m], indices by cell of facade.
+
+        From a facade cell four lines lead over the facade (along and across the lattice, and diagonally), with a cell
+        at the same distance on both sides. The lower of the two is the road; of the four lines that counts whose
+        road is farthest from all facade cells, which is the one most nearly square to the facade; then the lower
+        one. The point is that of the median height of its cell, as the lowest is a blunder or at the noise's lower
+        end. It is refused unless the points around it lie on a plane but for noise.
+        """
+        i, x, y, z = self.index, self.x, self.y, self.z
+        lists = x, y, z, i.slots, i.keys, i.starts, i.order, i.width, i.height
+        found = _road_points(*lists, self.holds, rule)
+        found = found[found >= 0]
+        found = found[np.sort(np.unique(found, return_index=True)[1])]
+        columns = ((x[found].astype(np.int64) + i.cells.origin_x) * i.cells.q) // i.cells.p - i.col0
+        rows = ((y[found].astype(np.int64) + i.cells.origin_y) * i.cells.q) // i.cells.p - i.row0
+        flat = _flat(*lists, found, columns, rows, rule.variation, rule.z_ratio)
+        kept: Int32 = found[flat]
+        return kept
+
+
+@kernel
+def _overhung(
+    x: Int32, y: Int32, z: Int32, slots: Int32, keys: Int64, starts: Int64, order: Int64, width: int, height: int,
+    columns: Int64, rows: Int64, radius: float, slope: float, noise: float, z_ratio: float,
+) -> Bool:  # fmt: skip
+    out = np.zeros(x.size, np.bool_)
+    for i in range(x.size):
+        for row in range(rows[i] - 1, rows[i] + 2):
+            for column in range(columns[i] - 1, columns[i] + 2):
+                slot = slot_of(slots, keys, width, height, column, row)
+                if slot < 0:
+                    continue
+                for k in range(starts[slot], starts[slot + 1]):
+                    j = order[k]
+                    dx, dy = float(x[j] - x[i]), float(y[j] - y[i])
+                    apart = math.sqrt(dx * dx + dy * dy)
+                    above = (float(z[i]) - float(z[j])) * z_ratio
+                    if apart <= radius and above > slope * apart + noise:
+                        out[i] = True
+    return out
+
+
+def on_podium(
+    x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, slope: float, sigma_m: float
+) -> Bool:
+    """Seeds that lie on a podium or a lower roof: too high above another seed nearby (004, 3.1, step 4).
+
+    The paper keeps the lower of any two seeds in a neighbourhood, which on a hillside would leave the one at the
+    bottom. So the upper one has to be higher than ground can be at that distance d by the paper's own equation 1,
+    ``0.3 d + 1.65 sqrt(2) sigma``. All are judged against all, then dropped together: order changes nothing.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts of seeds.
+    radius_m : float
+        Neighbourhood, metres.
+    slope : float
+        Metres per metre.
+    sigma_m : float
+
+    Returns
+    -------
+    bool [n]
+    """
+    if x.size == 0:
+        return np.zeros(0, np.bool_)
+    cells = Cells.of(radius_m, scale)
+    i = CellIndex(x, y, cells)
+    columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p - i.col0
+    rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p - i.row0
+    noise = NOISE_QUANTILE * math.sqrt(2.0) * scale.counts(sigma_m)
+    return _overhung(
+        x, y, z, i.slots, i.keys, i.starts, i.order, i.width, i.height, columns, rows,
+        scale.counts(radius_m), slope, noise, scale.z_ratio,
+    )  # fmt: skip

@@ -1,0 +1,150 @@
+"""Vegetation by colour: the green leaf index, a test for two modes, and Otsu's threshold between them.
+
+Sources: Dong 2017 (004), equation 2 and section 3.3.1; Otsu (1979), A threshold selection method from gray-level
+histograms. All of it is arithmetic on whole numbers, so order, tiles and the range of the colours (8 or 16 bits) change
+nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.kernel import kernel
+
+BINS = 128
+"""Of the histogram of the index from -1 to 1."""
+
+GREY = BINS // 2
+"""The first bin of the colours that are greener than grey."""
+
+COLOURLESS = -1
+"""Bin of a point that is black, as all are where a source has no colours."""
+
+SMOOTHINGS = 2
+"""Times that counts are smoothed by (1, 4, 6, 4, 1) before modes are sought: dark 8-bit colours leave gaps between
+their few ratios."""
+
+VALLEY_SHARE = 0.8
+"""Two modes are told apart by a valley that is not above this share of the lower one."""
+
+MODE_SHARE = 0.01
+"""A mode holds at least this share of the points."""
+
+Int16 = npt.NDArray[np.int16]
+
+
+@kernel
+def _bins(rgb: npt.NDArray[np.uint16], out: Int16) -> None:
+    for i in range(out.size):
+        red, green, blue = np.int64(rgb[0, i]), np.int64(rgb[1, i]), np.int64(rgb[2, i])
+        total = 2 * green + red + blue
+        out[i] = -1 if total == 0 else min(int((2 * green * BINS) // total), BINS - 1)
+
+
+def gli_bins(rgb: npt.NDArray[np.uint16]) -> Int16:
+    """Bin of the green leaf index ``(2G - R - B) / (2G + R + B)`` of each point (004, equation 2).
+
+    ``(GLI + 1) / 2 = 2G / (2G + R + B)``, so a bin is one division of whole numbers.
+
+    Parameters
+    ----------
+    rgb : uint16 [3, n]
+        Red, green, blue of any range.
+
+    Returns
+    -------
+    int16 [n]
+        0 .. `BINS` - 1, `COLOURLESS` for black.
+    """
+    out = np.empty(rgb.shape[1], np.int16)
+    _bins(np.ascontiguousarray(rgb), out)
+    return out
+
+
+def index_of_bin(first: int) -> float:
+    """The green leaf index at which a bin begins."""
+    return 2.0 * first / BINS - 1.0
+
+
+def smoothed(counts: Sequence[int]) -> list[int]:
+    """Counts smoothed `SMOOTHINGS` times, in units of 1/16 each time."""
+    values = [*counts]
+    for _ in range(SMOOTHINGS):
+        w = [0, 0, *values, 0, 0]
+        values = [w[i] + 4 * w[i + 1] + 6 * w[i + 2] + 4 * w[i + 3] + w[i + 4] for i in range(len(values))]
+    return values
+
+
+def two_modes(counts: Sequence[int]) -> tuple[int, int] | None:
+    """Bins of a grey and a green mode beside each other, or None.
+
+    Otsu's threshold splits any histogram, also one without a reason to.
+
+    The valley between them is where the smoothed counts drop most below the lower one of the highest bins on both
+    sides. It lies among colours greener than grey: else red roofs beside grey streets would make the streets green.
+
+    Parameters
+    ----------
+    counts : sequence of int
+        Points by bin of `gli_bins`.
+    """
+    values, total = smoothed(counts), sum(counts)
+    best, valley = 0, -1
+    for k in range(GREY, len(values) - 1):
+        depth = min(max(values[:k]), max(values[k + 1 :])) - values[k]
+        if depth > best:
+            best, valley = depth, k
+    if valley < 0 or values[valley] > VALLEY_SHARE * (values[valley] + best):
+        return None
+    left, right = sum(counts[:valley]), sum(counts[valley:])
+    if min(left, right) < MODE_SHARE * total:
+        return None
+    return _nearest_mode(values, valley, -1), _nearest_mode(values, valley, 1)
+
+
+def _nearest_mode(values: Sequence[int], valley: int, step: int) -> int:
+    """The top of the first mode on one side of a valley: beyond it the counts fall by more than a valley of its own."""
+    top = k = valley
+    while 0 <= k < len(values) and values[k] >= VALLEY_SHARE * values[top]:
+        top = k if values[k] > values[top] else top
+        k += step
+    return top
+
+
+def otsu(counts: Sequence[int]) -> int:
+    """The first bin of the upper one of Otsu's two classes.
+
+    Their split has the largest variance between the classes, of equal ones it is the lowest.
+
+    Parameters
+    ----------
+    counts : sequence of int
+        Points by bin, in at least two of them.
+    """
+    n, moment = sum(counts), sum(k * c for k, c in enumerate(counts))
+    below, moment_below, best, split = 0, 0, Fraction(-1), 1
+    for k, count in enumerate(counts):
+        below += count
+        moment_below += k * count
+        if not 0 < below < n:
+            continue
+        between = Fraction((n * moment_below - below * moment) ** 2, below * (n - below))
+        if between > best:
+            best, split = between, k + 1
+    return split
+
+
+def green_from(counts: Sequence[int]) -> int | None:
+    """The first bin that is vegetation, at least `GREY`; None where the histogram has no green mode of its own.
+
+    Otsu's threshold of the part from the grey mode to the green one: a third mode (red roofs) has no say.
+    """
+    modes = two_modes(counts)
+    if modes is None:
+        return None
+    low, high = modes
+    return max(low + otsu(counts[low : high + 1]), GREY)

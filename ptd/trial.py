@@ -1,0 +1,187 @@
+"""Points against one fixed TIN: passed or not by distance and smallest angle, or counted in a histogram of both.
+
+Source: Dong 2017 (004), sections 3.2 and 3.3.4.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32
+from ptd.certify import Doubt, UInt8
+from ptd.criteria import across, facet_measures
+from ptd.frame import Scale
+from ptd.kernel import kernel, wide
+from ptd.labelling import Locator
+from ptd.tin.circles import Rule, facet_passes
+from ptd.tin.interpolation import canonical_facet
+from ptd.tin.layout import N_TRIANGLES, Int32Array
+from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.mesh import Tin
+
+Bool = npt.NDArray[np.bool_]
+Int64 = npt.NDArray[np.int64]
+
+ANY_EDGE = 2**62
+"""Square of an edge that none reaches."""
+
+
+class Threshold(NamedTuple):
+    """Largest distance of a point to its facet's plane, metres, and smallest of its angles there, radians."""
+
+    distance_m: float
+    angle_rad: float
+
+
+class Bins(NamedTuple):
+    """Bins of a histogram of distances (metres) and angles (radians); what is beyond is not counted."""
+
+    distance_m: float
+    distances: int
+    angle_rad: float
+    angles: int
+
+
+@kernel
+def _gauge(
+    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float
+) -> tuple[float, float]:
+    """Distance to the plane of a real facet, without sign, and to its farthest corner: horizontal counts.
+
+    The smallest of the angles between the plane and the lines to the corners is that to the farthest corner.
+    """
+    distance = abs(facet_measures(vertices, triangles, t, x, y, z, z_ratio)[0])
+    farthest2 = 0.0
+    for v in canonical_facet(vertices, triangles, t):
+        dx, dy = float(x - vertices[4 * v]), float(y - vertices[4 * v + 1])
+        dz = float(z - vertices[4 * v + 2]) * z_ratio
+        farthest2 = max(farthest2, dx * dx + dy * dy + dz * dz)
+    return distance, math.sqrt(farthest2)
+
+
+@kernel
+def _usable(vertices: Int32Array, triangles: Int32Array, n: int, rule: Rule) -> Bool:
+    out = np.zeros(n, np.bool_)
+    for t in range(n):
+        out[t] = facet_passes(vertices, triangles, t, rule)
+    return out
+
+
+@kernel
+def _start(grid: Int32, place: tuple[int, int, int, int, int], x: int, y: int) -> int:
+    """A triangle near (x, y), see `ptd.labelling.Locator`."""
+    west, south, cell, height, width = place
+    column = min(max((x - west) // cell, 0), width - 1)
+    row = min(max((y - south) // cell, 0), height - 1)
+    return wide(grid[row * width + column])
+
+
+@kernel
+def _test(
+    vertices: Int32Array, triangles: Int32Array, usable: Bool, grid: Int32, place: tuple[int, int, int, int, int],
+    x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, near: Bool, distance: float, sine: float,
+    z_ratio: float, passed: Bool, doubtful: Bool,
+) -> None:  # fmt: skip
+    for i in range(x.size):
+        if not which[i]:
+            continue
+        t = locate(vertices, triangles, x[i], y[i], _start(grid, place, x[i], y[i]))
+        v = coincident_vertex(vertices, triangles, x[i], y[i], t)
+        if v >= 0:
+            passed[i] = abs(float(z[i]) - float(vertices[4 * v + 2])) * z_ratio <= distance
+            doubtful[i] = in_doubt[t] != 0
+        elif usable[t]:
+            off, farthest = _gauge(vertices, triangles, t, x[i], y[i], z[i], z_ratio)
+            passed[i] = off <= distance and off <= farthest * sine
+            doubtful[i] = in_doubt[t] != 0 or in_doubt[across(vertices, triangles, t, x[i], y[i])] != 0
+        else:
+            doubtful[i] = near[i]
+
+
+@kernel
+def _count(
+    vertices: Int32Array, triangles: Int32Array, usable: Bool, grid: Int32, place: tuple[int, int, int, int, int],
+    x: Int32, y: Int32, z: Int32, which: Bool, z_ratio: float, distance: float, angle: float, counts: Int64,
+) -> None:  # fmt: skip
+    for i in range(x.size):
+        if not which[i]:
+            continue
+        t = locate(vertices, triangles, x[i], y[i], _start(grid, place, x[i], y[i]))
+        if coincident_vertex(vertices, triangles, x[i], y[i], t) >= 0 or not usable[t]:
+            continue
+        off, farthest = _gauge(vertices, triangles, t, x[i], y[i], z[i], z_ratio)
+        row, column = int(off / distance), int(math.asin(min(off / farthest, 1.0)) / angle)
+        if row < counts.shape[0] and column < counts.shape[1]:
+            counts[row, column] += 1
+
+
+class Trial:
+    """A TIN against which points are tested all at once.
+
+    A facet whose circumcircle is wider than `widest` says nothing about the ground within: its points are not
+    tested. So what a window has to hold for a certain answer is bounded. A facet that is not wide is certain if its
+    circle holds no place in doubt. If W's facet at a place is wide, one of U that is not would lie within 2 `widest`
+    of the place, and where no place in doubt is that near, it would be in W as well (`ptd/DESIGN.md`, Certificates).
+
+    Parameters
+    ----------
+    tin : Tin
+    scale : Scale
+    widest_m : float
+        Largest circumradius.
+    doubt : Doubt, optional
+        As it is now.
+    """
+
+    def __init__(self, tin: Tin, scale: Scale, widest_m: float, doubt: Doubt | None = None) -> None:
+        self.tin, self.scale, self.doubt = tin, scale, doubt
+        self.radius = scale.counts(widest_m)
+        n = int(tin.counters[N_TRIANGLES])
+        self.usable = _usable(tin.vertex_array, tin.triangle_array, n, Rule(ANY_EDGE, self.radius))
+        self.in_doubt = np.zeros(n, np.uint8)
+        if doubt is not None:
+            self.in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, n)
+        if n:
+            g = Locator(tin)
+            self._grid, self._place = g.grid, (g.west, g.south, g.cell, g.height, g.width)
+
+    def test(
+        self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: Doubt
+    ) -> tuple[Bool, Bool]:
+        """Which of the chosen points pass (bool [n]), and where points outside the window could change that (bool [n]).
+
+        Parameters
+        ----------
+        x, y, z : int32 [n]
+            Local counts.
+        which : bool [n]
+        threshold : Threshold
+            Both hold. On a vertex, where any of its facets may be found, the height above the vertex counts alone.
+        doubt : Doubt
+            That of the TIN, or as it grew later.
+        """
+        passed, doubtful = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
+        near = np.zeros(x.size, np.bool_)
+        near[which] = doubt.near(x[which], y[which], 2.0 * self.radius)
+        if not self.usable.size:
+            return passed, near
+        _test(
+            self.tin.vertex_array, self.tin.triangle_array, self.usable, self._grid, self._place, x, y, z, which,
+            self.in_doubt, near, self.scale.counts(threshold.distance_m), math.sin(threshold.angle_rad),
+            self.scale.z_ratio, passed, doubtful,
+        )  # fmt: skip
+        return passed, doubtful
+
+    def count(self, x: Int32, y: Int32, z: Int32, which: Bool, bins: Bins) -> Int64:
+        """Distances and smallest angles of the chosen points off the vertices: int64 [distances, angles]."""
+        counts = np.zeros((bins.distances, bins.angles), np.int64)
+        if self.usable.size:
+            _count(
+                self.tin.vertex_array, self.tin.triangle_array, self.usable, self._grid, self._place, x, y, z, which,
+                self.scale.z_ratio, self.scale.counts(bins.distance_m), bins.angle_rad, counts,
+            )  # fmt: skip
+        return counts

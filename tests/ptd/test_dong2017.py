@@ -1,0 +1,193 @@
+"""The method as a whole on a small coloured town: what it keeps, what it removes, what must not change its answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ptd import classify
+from ptd.frame import Window
+from ptd.methods.dong2017 import Dong2017
+from ptd.passes import MethodRefusal, Points
+
+from .tiling import classify_tiled, part
+from .town import CAR, HOUSE, SCALE, SIGMA_M, TREE, Town, town
+
+DEFAULTS = Dong2017()
+
+
+@pytest.fixture(scope="module")
+def scene() -> Town:
+    return town(podium=True)
+
+
+@pytest.fixture(scope="module")
+def whole(scene: Town) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+    return classify_tiled(scene.points, SCALE, DEFAULTS, None)
+
+
+def test_ground_is_kept_and_objects_are_removed(
+    scene: Town, whole: tuple[np.ndarray, np.ndarray, dict[str, Any]]
+) -> None:
+    labels, marks, _ = whole
+    assert not marks.any()
+    assert set(labels.tolist()) == {1, 2}
+    ground = {what: (labels[scene.truth == what] == 2).mean() for what in (2, 3, CAR, TREE, HOUSE)}
+    assert ground[2] > 0.985
+    assert ground[3] == ground[TREE] == 0.0  # green: no ground, as the paper has it
+    assert ground[CAR] < 0.05
+    assert ground[HOUSE] < 0.04  # the feet of facades lie within the first threshold of the ground
+
+
+def test_what_was_decided_is_told(whole: tuple[np.ndarray, np.ndarray, dict[str, Any]]) -> None:
+    state = whole[2]
+    told = "\n".join(state["notes"])
+    for words in (
+        "(Otsu)",
+        "planar patches",
+        "points in dense cells",
+        "first TIN of seeds: distance",
+        "TIN of 2 m",
+    ):
+        assert words in told
+    assert abs(state["sigma_m"] - SIGMA_M) < 0.01
+    assert state["density_m2"] == 12.0
+
+
+def test_no_seed_on_houses_podiums_or_trees(scene: Town) -> None:
+    state: dict[str, Any] = {"run": {"rgb": True, "sigma_m": SIGMA_M}}
+    window = Window.everything()
+    survey, seeds = DEFAULTS.passes[:2]
+    state = survey.reduce([survey.fit(scene.points, window, window, SCALE, state).partial()], state)
+    labels, _ = seeds.fit(scene.points, window, window, SCALE, state).label(scene.points)
+    assert (labels == 2).sum() > 40
+    assert (scene.truth[labels == 2] == 2).all()
+    assert (labels == 5)[(scene.truth == 3) | (scene.truth == TREE)].mean() > 0.99
+
+
+@pytest.mark.parametrize("tile_m", [40.0, 75.0])
+def test_tiles_do_not_show(
+    scene: Town, whole: tuple[np.ndarray, np.ndarray, dict[str, Any]], tile_m: float
+) -> None:
+    """Windows of the default halo hold all that decides: no mark."""
+    labels, marks, state = classify_tiled(scene.points, SCALE, DEFAULTS, tile_m, DEFAULTS.halo_m)
+    assert state == whole[2]
+    assert np.array_equal(labels, whole[0])
+    assert not marks.any()
+
+
+def test_statistics_are_exact_and_marks_true_with_too_small_a_halo(
+    scene: Town, whole: tuple[np.ndarray, np.ndarray, dict[str, Any]]
+) -> None:
+    labels, marks, state = classify_tiled(scene.points, SCALE, DEFAULTS, 30.0, 0.0)
+    assert state == whole[2]
+    assert np.array_equal(labels[~marks], whole[0][~marks])
+    assert marks.any()
+
+
+def test_the_order_of_the_points_changes_nothing(
+    scene: Town, whole: tuple[np.ndarray, np.ndarray, dict[str, Any]]
+) -> None:
+    order = np.random.default_rng(0).permutation(len(scene.points))
+    labels, _, state = classify_tiled(part(scene.points, order), SCALE, DEFAULTS, None)
+    assert np.array_equal(labels, whole[0][order])
+    assert state == whole[2]
+
+
+def test_the_frame_and_the_range_of_colours_change_nothing(
+    scene: Town, whole: tuple[np.ndarray, np.ndarray, dict[str, Any]]
+) -> None:
+    assert scene.points.rgb is not None
+    moved = scene.points.xyz + np.array([[12_345], [-54_321], [0]], np.int32)
+    origin = SCALE.origin[0] - 12_345, SCALE.origin[1] + 54_321
+    wide = Points(moved, rgb=scene.points.rgb * np.uint16(257))
+    labels, _, state = classify_tiled(wide, replace(SCALE, origin=origin), DEFAULTS, None)
+    assert np.array_equal(labels, whole[0])
+    assert state == whole[2]
+
+
+def xyz_rgb(scene: Town) -> tuple[np.ndarray, np.ndarray]:
+    assert scene.points.rgb is not None
+    return scene.points.xyz.T / 100.0, scene.points.rgb.T
+
+
+@pytest.fixture(scope="module")
+def small() -> Town:
+    return town(side=60.0, density=8.0)
+
+
+def test_without_colours_it_refuses(small: Town) -> None:
+    xyz, rgb = xyz_rgb(small)
+    with pytest.raises(ValueError, match="needs rgb"):
+        classify(xyz, "dong2017")
+    with pytest.raises(MethodRefusal, match="no point has a colour"):
+        classify(xyz, "dong2017", rgb=np.zeros_like(rgb))
+
+
+def test_without_facades_it_refuses(small: Town) -> None:
+    xyz, rgb = xyz_rgb(small)
+    bare = small.truth == 2
+    with pytest.raises(
+        MethodRefusal, match=r"no facade found: no cell of 1 m holds more than .* another method"
+    ):
+        classify(xyz[bare], "dong2017", rgb=rgb[bare])
+
+
+def test_without_a_flat_place_beside_facades_it_refuses(small: Town) -> None:
+    xyz, rgb = xyz_rgb(small)
+    with pytest.raises(MethodRefusal, match="no seed found beside the facades"):
+        classify(xyz, "dong2017", rgb=rgb, sigma=0.001)
+
+
+def test_without_a_planar_patch_it_asks_for_sigma() -> None:
+    rng = np.random.default_rng(1)
+    xyz, rgb = rng.random((3000, 3)) * [20, 20, 9], rng.integers(1, 255, (3000, 3))
+    with pytest.raises(MethodRefusal, match="--sigma"):
+        classify(xyz, "dong2017", rgb=rgb)
+
+
+def test_one_mode_of_colour_removes_nothing(small: Town) -> None:
+    xyz, rgb = xyz_rgb(small)
+    grey = np.full_like(rgb, 100)
+    result = classify(xyz, "dong2017", rgb=grey, sigma=SIGMA_M)
+    assert "no two modes" in result.decisions["statistics"]["notes"][0]
+    assert (result.classification[small.truth == 3] == 2).mean() > 0.9  # lawns are ground again
+
+
+def test_the_published_thresholds_are_of_the_order_of_those_found(
+    whole: tuple[np.ndarray, np.ndarray, dict[str, Any]],
+) -> None:
+    """Table 4: 0.35 m and 0.058 rad, 0.25 and 0.228, 0.22 and 0.35, at about twice this noise."""
+    found = [text for text in whole[2]["notes"] if "angle" in text]
+    angles = [float(text.split("angle ")[1].split()[0]) for text in found]
+    distances = [float(text.split("distance ")[1].split()[0]) for text in found]
+    assert angles == sorted(angles)
+    assert all(0.1 <= d <= 0.4 for d in distances)
+
+
+SPACINGS = [
+    ((4.0, 2.0), (4.0, 2.0)),
+    ((4.0, 1.0), (4.0, 2.0, 1.0)),
+    ((4.0, 1.5), (4.0, 2.0, 1.5)),
+    ((3.0, 3.0), (3.0,)),
+    ((3.0, 8.0), (3.0,)),
+]
+
+
+@pytest.mark.parametrize(("limits", "spacings"), SPACINGS)
+def test_densities_are_halved_down_to_the_last(
+    limits: tuple[float, float], spacings: tuple[float, ...]
+) -> None:
+    params = Dong2017(first_spacing_m=limits[0], last_spacing_m=limits[1])
+    assert params.spacings_m == spacings
+    names = [step.name for step in params.passes]
+    assert len(set(names)) == len(names) == 4 + 2 * len(spacings)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_a_few_points_end_in_a_clear_refusal(n: int) -> None:
+    with pytest.raises(MethodRefusal):
+        classify(np.zeros((n, 3)), "dong2017", rgb=np.full((n, 3), 9), sigma=0.1)
