@@ -80,13 +80,14 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
     classes : mapping
         As `tiler.evaluate.scores` gives them; what `tiler.evaluate.evaluate_scenes` adds is told as well.
     dtm : mapping, optional
-        As `tiler.evaluate.evaluate_dtm` gives them, in metres.
+        As `tiler.evaluate.evaluate_dtm` gives them.
     """
     kappa = percent_text(classes["kappa"])
+    f1 = f", F1 {percent_text(classes['f1'])}" if "f1" in classes else ""
     lines = [
         f"type I  {percent_text(classes['type_1'])}  (ground lost)",
         f"type II {percent_text(classes['type_2'])}  (objects taken for ground)",
-        f"total   {percent_text(classes['total'])}  of {classes['points']:,} points, kappa {kappa}",
+        f"total   {percent_text(classes['total'])}  of {classes['points']:,} points, kappa {kappa}{f1}",
     ]
     if classes["ignored"]:
         each = ", ".join(f"{code}: {n:,}" for code, n in classes.get("left_out", {}).items())
@@ -104,8 +105,9 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
     return lines
 
 
-def dtm_lines(dtm: Mapping[str, Any], unit: str = "m") -> list[str]:
+def dtm_lines(dtm: Mapping[str, Any]) -> list[str]:
     """Differences of a DTM from its truth, as `tiler.evaluate.evaluate_dtm` gives them."""
+    unit = {"metre": "m", "foot": "ft"}.get(dtm["unit"], dtm["unit"])
     if dtm["rmse"] is None:
         return ["DTM     no pixel has both heights"]
     first = (

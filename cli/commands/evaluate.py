@@ -61,7 +61,8 @@ def command(
 
     Class 2 is ground, every other class is not. Type I: ground that was lost; type II: objects that were taken
     for ground; total: both, of all points; kappa: Cohen's. With --method the CLOUDs are labelled ones: each is
-    filtered, without its classes, and scored against itself. Several clouds and references are paired by their
+    filtered, without its classes, and scored against itself (a cloud that was filtered while its noise or water was
+    labelled, without `--keep-classes none`, is scored too well). Several clouds and references are paired by their
     names, or by their order where as many files of both are named.
     """
     if (dtm is None) != (true_dtm is None):
@@ -89,7 +90,7 @@ def command(
     if clouds:
         _print_scores(facts)
     if dtm is not None:
-        for line in dtm_lines(facts["dtm"], unit=""):
+        for line in dtm_lines(facts["dtm"]):
             click.echo(line)
 
 

@@ -165,7 +165,7 @@ SCORES = {"points": 1000, "ignored": 7, "type_1": 0.0125, "type_2": None, "total
 
 
 def test_scores() -> None:
-    dtm = {"rmse": 0.1234, "bias": -0.01, "pixels": 360_000}
+    dtm = {"unit": "metre", "rmse": 0.1234, "bias": -0.01, "pixels": 360_000}
     assert score_lines(SCORES, dtm) == [
         "type I  1.25 %  (ground lost)",
         "type II -  (objects taken for ground)",
@@ -188,7 +188,7 @@ def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     monkeypatch.setattr("tiler.evaluate.find_scenes", lambda clouds, references: [*clouds, *references])
     monkeypatch.setattr("tiler.evaluate.evaluate_scenes", answer)
     monkeypatch.setattr("tiler.evaluate.filter_and_evaluate", answer)
-    monkeypatch.setattr("tiler.evaluate.evaluate_dtm", lambda *arguments: {"rmse": None})
+    monkeypatch.setattr("tiler.evaluate.evaluate_dtm", lambda *arguments: {"unit": "metre", "rmse": None})
     return seen
 
 
@@ -220,7 +220,7 @@ def test_evaluate_filters_labelled_clouds(
 
 def test_evaluate_of_a_dtm_alone(evaluations: object, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", "--dtm", "a.tif", "--true-dtm", "b.tif", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"dtm": {"rmse": None}}
+    assert json.loads(capsys.readouterr().out) == {"dtm": {"unit": "metre", "rmse": None}}
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ least 30 checkpoints (more above 1000 km2, 120 at most); vegetated accuracy (VVA
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,9 @@ import numpy.typing as npt
 
 from tiler.check.points import NVA, VVA, Checkpoints, PointOptions
 from tiler.core.spread import spread
-from tiler.core.units import METRE, exact_unit, unit_label, unit_named
+from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
-from tiler.evaluate.heights import read_heights
+from tiler.evaluate.heights import read_heights, vertical_unit
 
 STANDARD = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
 LEAST_POINTS = 30
@@ -105,28 +104,6 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
 
 def _or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def vertical_unit(raster: Any) -> Fraction:
-    """Metres in one unit of an open raster's heights: the band's, else that of its CRS, else a metre."""
-    if raster.units[0]:
-        return unit_named(raster.units[0])
-    if raster.crs is not None and raster.crs.is_projected:
-        return exact_unit(raster.crs.linear_units_factor[1])
-    return METRE
-
-
-def horizontal_unit(dtm: Path) -> Fraction:
-    """Metres in one unit of a raster's coordinates; a metre where it has no CRS. Raises InputError."""
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.open(dtm) as raster:
-            known = raster.crs is not None and raster.crs.is_projected
-            return exact_unit(raster.crs.linear_units_factor[1]) if known else METRE
-    except RasterioError as error:
-        raise InputError(f"{dtm}: cannot be read ({' '.join(str(error).split())})") from error
 
 
 def _in_crs_of(

@@ -18,10 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tiler.check.accuracy import horizontal_unit, vertical_unit
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
-from tiler.evaluate.heights import BLOCK, read_heights
+from tiler.evaluate.heights import BLOCK, horizontal_unit, read_heights, vertical_unit
 
 BLOCK_PIXELS = 512
 """Side of the blocks in which a run makes its rasters, counted from the north-west corner."""

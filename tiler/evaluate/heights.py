@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.spread import SpreadTally
+from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
 
 BLOCK = 1024
@@ -43,7 +45,8 @@ def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | No
     Returns
     -------
     dict
-        ``pixels``; ``only_dtm``, ``only_truth`` (valid pixels of the truth's extent that the other lacks);
+        ``unit`` (of the heights); ``pixels``; ``only_dtm``, ``only_truth`` (valid pixels of the truth's extent that
+        the other lacks);
         ``coverage`` (share of the truth's valid pixels that the DTM has); in units of the heights what
         `tiler.core.spread.spread` says, medians and percentiles to ``quantile_step``; None without a common pixel.
 
@@ -60,6 +63,7 @@ def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | No
     with ExitStack() as stack:
         pair = stack.enter_context(_opened(Path(dtm), Path(truth)))
         write = stack.enter_context(_difference_writer(difference, pair))
+        unit = unit_label(vertical_unit(pair.truth))
         for row, col, mine, true in _blocks(pair):
             has_mine, has_true = np.isfinite(mine), np.isfinite(true)
             common = has_mine & has_true
@@ -70,6 +74,7 @@ def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | No
             if write is not None:
                 write(mine - true, row, col)
     return {
+        "unit": unit,
         "pixels": both,
         "only_dtm": only_dtm,
         "only_truth": only_truth,
@@ -89,7 +94,7 @@ def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
     from tiler.export.geotiff import RasterLook, plain_geotiff
 
     crs = pair.truth.crs.to_wkt() if pair.truth.crs else None
-    look = RasterLook(crs, pair.truth.units[0] or "metre", "DTM minus truth", {})
+    look = RasterLook(crs, unit_label(vertical_unit(pair.truth)), "DTM minus truth", {})
     transform = tuple(pair.truth.transform)[:6]
     with plain_geotiff(Path(path), pair.truth.height, pair.truth.width, transform, look) as raster:
 
@@ -177,3 +182,25 @@ def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Fl
         part = raster.read(1, window=((top, bottom), (left, right)), masked=True).astype(np.float64)
         heights[top - row : bottom - row, left - col : right - col] = part.filled(np.nan)
     return heights
+
+
+def vertical_unit(raster: Any) -> Fraction:
+    """Metres in one unit of an open raster's heights: the band's, else that of its CRS, else a metre."""
+    if raster.units[0]:
+        return unit_named(raster.units[0])
+    if raster.crs is not None and raster.crs.is_projected:
+        return exact_unit(raster.crs.linear_units_factor[1])
+    return METRE
+
+
+def horizontal_unit(dtm: Path) -> Fraction:
+    """Metres in one unit of a raster's coordinates; a metre where it has no CRS. Raises InputError."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    try:
+        with rasterio.open(dtm) as raster:
+            known = raster.crs is not None and raster.crs.is_projected
+            return exact_unit(raster.crs.linear_units_factor[1]) if known else METRE
+    except RasterioError as error:
+        raise InputError(f"{dtm}: cannot be read ({' '.join(str(error).split())})") from error

@@ -89,6 +89,7 @@ def test_blocks_change_nothing(tmp_path, monkeypatch):
     whole = evaluate_dtm(*paths)
     monkeypatch.setattr(heights, "BLOCK", 16)
     parts = evaluate_dtm(*paths, difference=tmp_path / "d.tif")
+    assert (parts.pop("unit"), whole.pop("unit")) == ("metre", "metre")
     assert parts == pytest.approx(whole, rel=1e-12)
     with rasterio.open(tmp_path / "d.tif") as raster_:
         difference = raster_.read(1, masked=True).compressed()
