@@ -1,4 +1,4 @@
-"""Low outliers: points and small groups far below everything around them (multipath, matching blunders)."""
+"""Outliers: points far from everything around them in height (multipath, birds, matching blunders)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ptd.frame import Cells, Scale
 from ptd.kernel import kernel
 
 MIN_NEIGHBOURS = 3
-"""So many points above are needed to call what lies below them an outlier: two points prove nothing."""
+"""So many points far away in height are needed to call a point an outlier: two points prove nothing."""
 
 
 @kernel
-def _low_points(
+def _outliers(
     x: Int32,
     y: Int32,
     z: Int32,
@@ -33,13 +33,17 @@ def _low_points(
     radius: float,
     depth: float,
     group: int,
+    both: bool,
 ) -> npt.NDArray[np.bool_]:
-    """Kernel of `low_outliers`: cells are searched ring by ring, so ordinary ground is done after a few points."""
+    """Kernel of the two searches: cells are searched ring by ring, so ordinary ground is done after a few points.
+
+    ``both``: what lies far below a point is as far from it as what lies far above; else it counts as near.
+    """
     out = np.zeros(x.size, np.bool_)
     limit2 = radius * radius
     for i in range(x.size):
-        level = 0
-        above = 0
+        near = 0
+        far = 0
         for ring in range(reach + 1):
             for row in range(point_rows[i] - ring, point_rows[i] + ring + 1):
                 edge_row = abs(row - point_rows[i]) == ring
@@ -53,15 +57,16 @@ def _low_points(
                         dx, dy = float(x[j] - x[i]), float(y[j] - y[i])
                         if dx * dx + dy * dy > limit2:
                             continue
-                        if z[j] - z[i] > depth:
-                            above += 1
+                        rise = z[j] - z[i]
+                        if rise > depth or (both and rise < -depth):
+                            far += 1
                         else:
-                            level += 1
-                if level > group:
+                            near += 1
+                if near > group:
                     break
-            if level > group:
+            if near > group:
                 break
-        out[i] = level <= group and above >= MIN_NEIGHBOURS
+        out[i] = near <= group and far >= MIN_NEIGHBOURS
     return out
 
 
@@ -91,15 +96,44 @@ def low_outliers(
     """
     if x.size == 0 or group == 0:
         return np.zeros(x.size, np.bool_)
+    return _search(x, y, z, scale, radius_m, depth_m, group, both=False)
+
+
+def isolated_in_height(
+    x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float
+) -> npt.NDArray[np.bool_]:
+    """Points whose smallest height difference to their neighbours is too large (Chen 2023, 2.1 b).
+
+    A point is isolated if within ``radius_m`` no other point is within ``depth_m`` of its height and at least three are
+    not.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts, best in row-major order of cells.
+    scale : Scale
+    radius_m, depth_m : float
+        Metres.
+
+    Returns
+    -------
+    bool [n]
+    """
+    if x.size == 0:
+        return np.zeros(0, np.bool_)
+    return _search(x, y, z, scale, radius_m, depth_m, 1, both=True)
+
+
+def _search(
+    x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float, group: int, both: bool
+) -> npt.NDArray[np.bool_]:
     cells = Cells.of(1.0, scale)
     index = CellIndex(x, y, cells)
     columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p - index.col0
     rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p - index.row0
-    radius = scale.counts(radius_m)
-    reach = int(np.ceil(radius_m)) + 1
-    return _low_points(
+    return _outliers(
         x, y, z, index.slots, index.keys, index.starts, index.order, index.width, index.height,
-        columns, rows, reach, radius, scale.counts_z(depth_m), group,
+        columns, rows, int(np.ceil(radius_m)) + 1, scale.counts(radius_m), scale.counts_z(depth_m), group, both,
     )  # fmt: skip
 
 

@@ -23,6 +23,12 @@ def parameter(
     return field(default=default, metadata=metadata)
 
 
+def like(cls: type[Any], name: str, default: float | int | bool | None = None) -> Any:
+    """The field of another method's dataclass, with another default if one is given."""
+    spec = next(spec for spec in fields(cls) if spec.name == name)
+    return field(default=spec.default if default is None else default, metadata=spec.metadata)
+
+
 T = TypeVar("T")
 
 

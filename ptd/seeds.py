@@ -34,7 +34,13 @@ class Seeds:
 
 
 def choose_seeds(
-    x: Int32, y: Int32, z: Int32, eligible: npt.NDArray[np.bool_], cells: Cells, doubt: Doubt
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    eligible: npt.NDArray[np.bool_],
+    cells: Cells,
+    doubt: Doubt,
+    unsure: npt.NDArray[np.bool_] | None = None,
 ) -> Seeds:
     """Lowest eligible point per cell of a lattice anchored at CRS coordinate 0, and the ring around them.
 
@@ -48,19 +54,30 @@ def choose_seeds(
         Side: the largest building.
     doubt : Doubt
         Cells whose seed is not certain are added.
+    unsure : bool [n], optional
+        Whether it is not certain that a point is (or is not) eligible; else all are certain.
     """
     index = np.flatnonzero(eligible).astype(np.int32)
     chosen = index[lowest_per_cell(x[index], y[index], z[index], cells)]
-    cx, cy = x[chosen].astype(np.int64), y[chosen].astype(np.int64)
-    columns = ((cx + cells.origin_x) * cells.q) // cells.p
-    rows = ((cy + cells.origin_y) * cells.q) // cells.p
-    heights = {(int(c), int(r)): int(h) for c, r, h in zip(columns, rows, z[chosen], strict=True)}
+    filled = cells_of(x[chosen], y[chosen], cells)
+    heights = {cell: int(h) for cell, h in zip(filled, z[chosen], strict=True)}
     virtual = _ring(heights)
-    if doubt.active:
-        _doubt_cells(set(heights), cells, doubt)
+    if doubt.active and unsure is None:
+        _doubt_cells(set(filled), set(), cells, doubt)
+    elif doubt.active and unsure is not None:
+        certain = eligible & ~unsure
+        sure, not_sure = (set(cells_of(x[w], y[w], cells)) for w in (certain, unsure))
+        _doubt_cells(sure, not_sure, cells, doubt)
     half = cells.p // (2 * cells.q)
     points = [(cells.west(c) + half, cells.south(r) + half, h) for (c, r), h in sorted(virtual.items())]
     return Seeds(chosen, np.array(points, np.int32).reshape(-1, 3))
+
+
+def cells_of(x: Int32, y: Int32, cells: Cells) -> list[tuple[int, int]]:
+    """Column and row of each point."""
+    columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p
+    rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p
+    return list(zip(columns.tolist(), rows.tolist(), strict=True))
 
 
 def _neighbours(cell: tuple[int, int], reach: int = 1) -> list[tuple[int, int]]:
@@ -86,17 +103,24 @@ def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
     return added
 
 
-def _doubt_cells(filled: set[tuple[int, int]], cells: Cells, doubt: Doubt) -> None:
+def _doubt_cells(
+    filled: set[tuple[int, int]], unsure: set[tuple[int, int]], cells: Cells, doubt: Doubt
+) -> None:
     """Put in doubt what may have another seed: cells not wholly known, and empty ones within the ring of such.
 
-    An empty cell near the border has a virtual seed, or none, or one of another height if there is a point beyond.
+    An empty cell near the border has a virtual seed, or none, or one of another height if there is a point beyond; and
+    so has one near a cell of whose points it is not certain that they are eligible (`unsure`). Cells of `filled` hold
+    one that certainly is.
     """
     known, deep = doubt.known.inside(cells), doubt.known.inside(cells, RING)
+    reached = unsure.union(*(_neighbours(cell, RING) for cell in unsure))
     west, south, east, north = doubt.box
     for row in range(cells.row(south), cells.row(north - 1) + 1):
         for column in range(cells.column(west), cells.column(east - 1) + 1):
             box = cells.west(column), cells.south(row), cells.west(column + 1), cells.south(row + 1)
-            if not deep.holds(*box) and not (known.holds(*box) and (column, row) in filled):
+            if known.holds(*box) and (column, row) in filled:
+                continue
+            if not deep.holds(*box) or (column, row) in reached:
                 doubt.add_box(*box)
 
 

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from ptd.methods import classic, dong2017
+from ptd.methods import chen2023, classic, dong2017
 from ptd.params import parse
 from ptd.passes import Method
 
-METHODS: dict[str, Method] = {m.name: m for m in (classic.METHOD, dong2017.METHOD)}
+METHODS: dict[str, Method] = {
+    m.name: m
+    for m in (
+        classic.METHOD,
+        chen2023.METHOD,
+        dong2017.METHOD,
+    )
+}
 
 
 def make_params(name: str, texts: dict[str, str] | None = None) -> Any:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptd.frame import Scale
-from ptd.outliers import low_outliers, search_margin
+from ptd.outliers import isolated_in_height, low_outliers, search_margin
 
 FEET = Fraction(3048, 10**7)
 
@@ -117,3 +117,35 @@ def test_the_order_of_the_points_changes_nothing() -> None:
 )
 def test_the_margin_holds_the_radius(radius_m: float, group: int, cell_m: float, cells: int) -> None:
     assert search_margin(radius_m, group, cell_m) == cells
+
+
+def isolated(points: np.ndarray, radius: float = 5.0, depth: float = 4.0) -> list[int]:
+    x, y, z = np.ascontiguousarray(np.asarray(points, np.int32).T)
+    return np.flatnonzero(isolated_in_height(x, y, z, Scale(), radius, depth)).tolist()
+
+
+def test_a_point_far_from_all_neighbours_in_height_is_isolated_above_and_below() -> None:
+    points = field()
+    points[480, 2], points[100, 2] = 4001, -4001
+    assert isolated(points) == [100, 480]
+    points[480, 2], points[100, 2] = 4000, -4000
+    assert isolated(points) == []
+
+
+def test_the_smallest_difference_counts_so_that_two_are_not_isolated() -> None:
+    points = field()
+    points[[480, 481], 2] = -9000
+    assert isolated(points) == []
+
+
+def test_a_wall_of_other_heights_within_the_radius_does_not_isolate() -> None:
+    assert (
+        isolated(field(np.arange(961) % 31 * 5.0)) == []
+    )  # neighbours in a row are level, in a column 5 m apart
+
+
+def test_points_with_fewer_than_three_neighbours_are_not_isolated() -> None:
+    points = np.array([[0, 0, 0], [1000, 0, 9000], [0, 1000, 18000]])
+    assert isolated(points) == []
+    assert isolated(np.vstack([points, [[1000, 1000, 27000]]])) == [0, 1, 2, 3]
+    assert isolated(np.zeros((0, 3))) == []

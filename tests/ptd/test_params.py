@@ -8,7 +8,7 @@ import pytest
 
 from ptd.methods import METHODS, make_params
 from ptd.methods.classic import Classic
-from ptd.params import check, parameter, parse, to_json
+from ptd.params import check, like, parameter, parse, to_json
 
 
 @dataclass(frozen=True)
@@ -130,3 +130,16 @@ def test_json_gives_the_parameters_back() -> None:
     params = Classic(rounds=3, label_pass=False)
     assert Classic(**to_json(params)) == params
     assert list(to_json(params)) == [spec.name for spec in fields(Classic)]
+
+
+def test_a_field_like_that_of_another_method() -> None:
+    @dataclass(frozen=True)
+    class Other:
+        rounds: int = like(Classic, "rounds", 3)
+        low_radius_m: float = like(Classic, "low_radius_m")
+
+    assert to_json(Other()) == {"rounds": 3, "low_radius_m": Classic().low_radius_m}
+    assert (
+        fields(Other)[0].metadata
+        == fields(Classic)[[f.name for f in fields(Classic)].index("rounds")].metadata
+    )

@@ -18,6 +18,7 @@ def choose(
     known: Window | None = None,
     eligible: list[bool] | None = None,
     scale: Scale | None = None,
+    unsure: list[bool] | None = None,
 ) -> tuple[Seeds, Doubt]:
     scale = scale or Scale()
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)
@@ -25,7 +26,8 @@ def choose(
     known = known or Window.everything()
     doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
     mask = np.ones(x.size, np.bool_) if eligible is None else np.array(eligible)
-    return choose_seeds(x, y, z, mask, cells, doubt), doubt
+    which = None if unsure is None else np.array(unsure)
+    return choose_seeds(x, y, z, mask, cells, doubt, which), doubt
 
 
 def cells_of(seeds: Seeds) -> dict[tuple[int, int], int]:
@@ -125,6 +127,17 @@ def test_cells_in_doubt_at_the_other_sides() -> None:
     assert not in_doubt(doubt, 7, 6)
     assert in_doubt(doubt, 8, 3)
     assert not in_doubt(doubt, -1, 3)
+
+
+def test_cells_that_may_lose_their_seed_are_in_doubt_and_so_are_empty_ones_around_them() -> None:
+    """A row of cells: in column 4 it is not certain what is eligible; in column 5 neither, but another seed is sure."""
+    row = [middle(c, 0, 10) for c in range(12) if c != 7]
+    points = [*row, (5 * SIDE + 100, 100, 50)]
+    unsure = [x // SIDE == 4 or (x // SIDE == 5 and z == 10) for x, _, z in points]
+    far = Window(-900 * SIDE, -OPEN, OPEN, OPEN)
+    _, doubt = choose(points, far, unsure=unsure)
+    assert [column for column in range(12) if in_doubt(doubt, column, 0)] == [4, 7]
+    assert [column for column in range(12) if in_doubt(doubt, column, 1)] == [2, 3, 4, 5, 6, 7]
 
 
 def test_the_box_holds_three_cells_around_the_data() -> None:

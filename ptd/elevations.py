@@ -1,0 +1,154 @@
+"""The run's histogram of elevations, and where its tails are cut (Chen 2023, 2.1 a)."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, lowest_per_cell
+from ptd.frame import Cells, Scale, Window
+from ptd.passes import Model, Pass, Points, State, UInt8
+
+BIN_M = 1.0
+Bool = npt.NDArray[np.bool_]
+
+Histogram = dict[int, int]
+"""Points by bin; bin k holds the heights from k metres to below k + 1."""
+
+
+class Tails(NamedTuple):
+    """The bins that stay, and how many points lie below and above them."""
+
+    low_bin: int
+    high_bin: int
+    below: int
+    above: int
+
+
+def _bins(z: Int32, scale: Scale) -> npt.NDArray[np.int64]:
+    """The bin of each height; bins start at height 0 of the CRS."""
+    found: npt.NDArray[np.int64] = np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
+    return found
+
+
+def histogram(z: Int32, scale: Scale) -> Histogram:
+    """How many of the heights lie in each bin that holds any."""
+    bins, counts = np.unique(_bins(z, scale), return_counts=True)
+    return dict(zip(bins.tolist(), counts.tolist(), strict=True))
+
+
+def merged(parts: Iterable[Mapping[int, int]]) -> Histogram:
+    """The histogram of all parts together; whole numbers, so their order changes nothing."""
+    total: Counter[int] = Counter()
+    for part in parts:
+        total.update(part)
+    return dict(sorted(total.items()))
+
+
+def find_tails(counts: Histogram, gap_bins: int, share: float) -> Tails | None:
+    """Cut both tails of a histogram at gaps.
+
+    The paper looks at the plotted histogram and chooses; here a tail is what lies beyond at least ``gap_bins`` empty
+    bins, if it is no more than ``share`` of all points. Terrain fills its elevations without gaps, so a lonely peak
+    stays, however few points it has, and so does a second survey area far above the first.
+
+    Returns
+    -------
+    Tails or None
+        None for an empty histogram.
+    """
+    if not counts:
+        return None
+    bins = sorted(counts)
+    room = share * sum(counts.values())
+    low, below = _inner_end(bins, counts, gap_bins, room)
+    high, above = _inner_end(bins[::-1], counts, gap_bins, room)
+    return Tails(low, high, below, above)
+
+
+def _inner_end(bins: list[int], counts: Histogram, gap: int, room: float) -> tuple[int, int]:
+    """The first bin behind the last gap before which there are at most `room` points, and how many these are."""
+    end, cut, seen = bins[0], 0, 0
+    for before, after in pairwise(bins):
+        seen += counts[before]
+        if seen > room:
+            break
+        if abs(after - before) > gap:
+            end, cut = after, seen
+    return end, cut
+
+
+def outside(z: Int32, scale: Scale, kept: list[int] | None) -> tuple[Bool, Bool]:
+    """Which heights lie below the lowest and above the highest of the bins that stay; none if `kept` is None."""
+    if kept is None:
+        return np.zeros(z.size, np.bool_), np.zeros(z.size, np.bool_)
+    bins = _bins(z, scale)
+    return bins < kept[0], bins > kept[1]
+
+
+@dataclass(frozen=True)
+class ElevationsPass(Pass):
+    """A pass that only measures: ``tails`` of the state are the lowest and the highest bin that stay, or None.
+
+    Attributes
+    ----------
+    cell_m : float
+        Of candidates.
+    gap_m, share : float
+        See `find_tails`; a gap of 0 finds no tails.
+    """
+
+    cell_m: float
+    gap_m: float
+    share: float
+    name: str = "elevations"
+    gives_labels: bool = False
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Elevations:
+        """Count the candidates of the core."""
+        return Elevations(points.xyz, self.cell_m, core, scale)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """Merge the counts, find the tails, and note what is cut."""
+        counts = merged({int(k): int(n) for k, n in part["elevations"]} for part in partials)
+        found = find_tails(counts, math.ceil(self.gap_m / BIN_M), self.share) if self.gap_m else None
+        if found is None:
+            return {**state, "tails": None}
+        notes = list(state.get("notes", []))
+        for n, side, level in (
+            (found.below, "below", found.low_bin),
+            (found.above, "above", found.high_bin + 1),
+        ):
+            if n:
+                notes.append(
+                    f"{n} candidates {side} {level * BIN_M:g} m are outliers: beyond a gap of {self.gap_m:g} m "
+                    f"in the run's elevations, and no more than {self.share:g} of all"
+                )
+        return {**state, "tails": [found.low_bin, found.high_bin], "notes": notes}
+
+
+class Elevations(Model):
+    """The elevations of a core."""
+
+    def __init__(self, candidates: Int32, cell_m: float, core: Window, scale: Scale) -> None:
+        x, y, z = (np.ascontiguousarray(c) for c in candidates)
+        keep = lowest_per_cell(x, y, z, Cells.of(cell_m, scale))
+        east, north = x[keep], y[keep]
+        inside = (east >= core.west) & (east < core.east) & (north >= core.south) & (north < core.north)
+        self._counts = histogram(z[keep[inside]], scale)
+        self.stats = {"candidates": int(inside.sum())}
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Nothing is labelled: 0, and certain."""
+        return np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
+
+    def partial(self) -> dict[str, Any]:
+        """The histogram as pairs, since names of JSON are texts."""
+        return {"elevations": sorted(self._counts.items())}
