@@ -55,6 +55,10 @@ class RunConfig:
         "one worker, and that the command itself, for debugging: what crashes it ends the run",
         kind="flag",
     )
+    task_seconds: int = setting(
+        600, "time in which a worker has to finish a task of a million points (larger ones in proportion, smaller ones "
+        "too) before it is taken for hung and replaced", unit="s", kind="int",
+    )  # fmt: skip
     scheduler: str | None = setting(
         None, "address of a running Dask scheduler; default: workers on this machine"
     )

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
+from pathlib import Path
+
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
+_NEXT_TO_NOTHING_BYTES = 1 << 20
+
 
 class TilerError(Exception):
     """Anything that tiler refuses or cannot do; the message is one line: what, where, value, remedy."""
 
     exit_code = 4
+    again = False
+    """A task that ended with it may be tried again: what is wrong could have been passing."""
 
 
 class ConfigError(TilerError):
@@ -30,10 +40,44 @@ class InputError(TilerError):
 
 
 class ProcessingError(TilerError):
-    """The work itself failed: disk full, no tile succeeded, ``--on-error stop``."""
+    """The work itself failed: no tile succeeded, ``--on-error stop``."""
+
+    again = True
+
+
+class DiskFullError(ProcessingError):
+    """No space or quota is left: every other task would fail as well, so the run ends."""
+
+    again = False
 
 
 class Interrupted(TilerError):
     """Ctrl-C or SIGTERM: the same command goes on where it was."""
 
     exit_code = 130
+
+
+def refused_write(what: str, error: Exception, folder: Path | None = None) -> ProcessingError:
+    """The one-line error of a write that the file system refused; a `DiskFullError` where there is no space.
+
+    Parameters
+    ----------
+    what : str
+        That could not be written.
+    error : Exception
+        An OSError; or that of a library, which does not say why it could not write.
+    folder : Path, optional
+        Where: its free space tells what a library does not.
+    """
+    number = getattr(error, "errno", None)
+    full = number in _NO_SPACE
+    if not number and folder is not None and folder.exists():
+        full = shutil.disk_usage(folder).free < _NEXT_TO_NOTHING_BYTES
+    reason = os.strerror(number) if number else " ".join(str(error).split())
+    if full:
+        return DiskFullError(
+            f"{what}: cannot be written ({reason}): the disk is full; free some and run again"
+        )
+    return ProcessingError(
+        f"{what}: cannot be written ({reason}); see to the disk and its rights, and run again"
+    )

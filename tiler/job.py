@@ -5,20 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from tiler import __version__
-from tiler.errors import ProcessingError
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.raster import Block, RasterSpec
+from tiler.errors import DiskFullError, ProcessingError
 from tiler.observe.events import Listener
 from tiler.perform import peak_rss_bytes, perform
 from tiler.plan import Plan
 from tiler.report import write_run_file
-from tiler.schedule import Executor, Outcome, Task, make_executor
+from tiler.schedule import Executor, Limits, Outcome, Task, make_executor
 from tiler.store import TileStore
 
 LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
+
+MEMORY_TIMES, MEMORY_MORE_BYTES = 2, 512 << 20
+"""A worker that allocates so many times what it is allowed, and more, has gone wrong: the system must not suffer."""
 
 Warm = Callable[[Callable[[], None]], None]
 Commits = dict[str, tuple[str, dict[str, Any]]]
@@ -55,7 +62,7 @@ class Job:
     computed: int = 0
     stages: dict[str, dict[str, Any]] = field(default_factory=dict)
     quarantined: list[dict[str, str]] = field(default_factory=list)
-    failed: list[dict[str, str]] = field(default_factory=list)
+    failed: list[dict[str, Any]] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
 
     def note(self, text: str) -> None:
@@ -97,7 +104,10 @@ class Job:
         if todo and warm is not None and self.plan.config.scheduler is None:
             warm(lambda: self.note("compiling kernels (once on this machine)"))
         if todo and self.executor is None:
-            self.executor = make_executor(self.plan.workers, self.plan.config.scheduler)
+            config, memory = self.plan.config, MEMORY_TIMES * self.plan.memory + MEMORY_MORE_BYTES
+            self.executor = make_executor(
+                self.plan.workers, config.scheduler, config.in_process, Limits(memory, config.task_seconds)
+            )
         for outcome in self.executor.run(perform, self.store.url, todo) if todo and self.executor else ():
             self._finished(outcome)
             cpu_peak = max(cpu_peak, outcome.peak_rss_bytes)
@@ -119,18 +129,37 @@ class Job:
                  "peak_rss_bytes": outcome.peak_rss_bytes},
             )  # fmt: skip
             return
-        failure = {
+        failure: dict[str, Any] = {
             "stage": task.stage,
             "key": task.key,
             "error": outcome.error or "",
             "kind": outcome.error_kind or "",
         }
+        if outcome.fatal:
+            raise DiskFullError(f"{task.stage} {task.key}: {outcome.error}")
+        if outcome.again:
+            self.listener("task_again", failure)
+            return
+        failure["bounds"] = self._place(task)
         self.listener("task_failed", dict(failure))
         self.failed.append(failure)
         if self.plan.config.on_error == "stop":
             raise ProcessingError(
                 f"{task.stage} {task.key}: {outcome.error}; --on-error skip goes on without it"
             )
+
+    def _place(self, task: Task) -> list[float] | None:
+        """The hole that a task leaves: lowest x, y, highest x, y in units of the CRS; None where it has no place."""
+        arguments, lattice = task.arguments, self.plan.meta.bucket
+        if "spec" in arguments and "block" in arguments:
+            bounds = [RasterSpec.from_json(arguments["spec"]).block_bounds(Block(*arguments["block"]))]
+        else:
+            cells = arguments.get("cells") or [b[:2] for b in arguments.get("buckets", ())]
+            bounds = [lattice.bounds(Cell(*cell)) for cell in cells]
+        if not bounds:
+            return None
+        hull = reduce(Bounds.union, bounds)
+        return [v / COUNTS_PER_UNIT for v in hull.to_json()]
 
     def save(self, state: str) -> dict[str, Any]:
         """Write run.json and return its content."""

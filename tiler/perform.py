@@ -8,7 +8,7 @@ import sys
 import time
 import traceback
 
-from tiler.errors import TilerError
+from tiler.errors import DiskFullError, TilerError
 from tiler.schedule import Outcome, Task
 from tiler.store import open_store
 
@@ -28,16 +28,20 @@ def peak_rss_bytes() -> int:
 def perform(store_url: str, task: Task) -> Outcome:
     """Run a task and commit what it returns, so that it counts as done whatever becomes of the command."""
     start = time.monotonic()
+    kind: type[BaseException]
     try:
         record = task.work(store_url, task.arguments)
         open_store(store_url).commit(task.stage, task.key, task.digest, record)
+    except (KeyboardInterrupt, SystemExit, GeneratorExit):
+        raise
     except TilerError as error:
-        return Outcome(
-            task, None, str(error), type(error).__name__, time.monotonic() - start, peak_rss_bytes()
-        )
-    except Exception as error:  # noqa: BLE001 - whatever a task dies of is recorded, and the others go on
+        text, kind, again = str(error), type(error), error.again
+    except BaseException as error:  # noqa: BLE001 - whatever a task dies of, panics too, is recorded; the others go on
         where = traceback.extract_tb(error.__traceback__)[-1]
-        text = f"{type(error).__name__}: {error} ({where.filename.rsplit('/', 1)[-1]}:{where.lineno})"
+        kind, again = type(error), True
+        text = f"{kind.__name__}: {error} ({where.filename.rsplit('/', 1)[-1]}:{where.lineno})"
         gc.collect()
-        return Outcome(task, None, text, type(error).__name__, time.monotonic() - start, peak_rss_bytes())
-    return Outcome(task, record, None, None, time.monotonic() - start, peak_rss_bytes())
+    else:
+        return Outcome(task, record, None, None, time.monotonic() - start, peak_rss_bytes())
+    seconds, peak = time.monotonic() - start, peak_rss_bytes()
+    return Outcome(task, None, text, kind.__name__, seconds, peak, again, issubclass(kind, DiskFullError))

@@ -7,6 +7,7 @@ import hashlib
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -101,7 +102,8 @@ def _locked_run(
     try:
         _stages(job, until)
     except BaseException:
-        job.save("interrupted")
+        with suppress(ProcessingError):  # a full disk refuses this as well: what ended the run is told
+            job.save("interrupted")
         raise
     finally:
         if job.executor is not None:
@@ -216,10 +218,8 @@ def _assemble(job: Job, spooled: Commits) -> Assembled:
     )
     commits = job.perform("assemble", tasks)
     assembled = Assembled.of(commits)
-    if len(commits) < len(tasks):
-        raise ProcessingError(
-            f"{len(tasks) - len(commits)} buckets could not be written: {job.failed[-1]['error']}"
-        )
+    if not commits:
+        raise ProcessingError(f"no bucket could be written; the first: {job.failed[0]['error']}")
     job.store.publish_index({c: BucketInfo(r["n"], r["n_candidates"]) for c, r in assembled.records.items()})
     within = sum(r["duplicates"]["within"] for r in assembled.records.values())
     between = sum(r["duplicates"]["between"] for r in assembled.records.values())

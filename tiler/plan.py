@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -433,8 +434,10 @@ def refuse(plan: Plan, out: Path | None) -> None:
         )
     if plan.extent.empty:
         raise ConfigError("--bounds: holds no place")
-    if out is not None and plan.config.store is None:
-        existing = next(p for p in (out, *out.resolve().parents) if p.exists())
+    existing = None if out is None else next(p for p in (out, *out.resolve().parents) if p.exists())
+    if existing is not None and not os.access(existing, os.W_OK | os.X_OK):
+        raise ConfigError(f"-o {out}: {existing} cannot be written; name a folder on a disk that can")
+    if existing is not None and plan.config.store is None:
         free = shutil.disk_usage(existing).free
         if plan.projected_disk() > free:
             raise ConfigError(

@@ -237,6 +237,7 @@ def classified_tasks(
                 for key, (_, r) in spooled.items()
                 if key.startswith(prefix)
                 for ix, iy, _ in r["buckets"]
+                if Cell(ix, iy) in labels  # a bucket whose task failed is not there
             }
         )
         arguments = {

@@ -98,7 +98,9 @@ def test_a_worker_that_dies_is_replaced(cloud: Path, tmp_path: Path) -> None:
     process = start(cloud, out)
     wait_for(out, "task_done", "filter0", process)
     workers = [
-        p for p in psutil.Process(process.pid).children(recursive=True) if "spawn_main" in str(p.cmdline())
+        p
+        for p in psutil.Process(process.pid).children(recursive=True)
+        if "tiler.schedule.guarded" in p.cmdline()
     ]
     workers[0].kill()
     _, error = process.communicate(timeout=120)

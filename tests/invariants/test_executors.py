@@ -5,11 +5,13 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
+import distributed
 import pytest
 
 from tests.invariants.runs import do, output_digests
-from tiler.schedule import Executor, Outcome, Perform, SerialExecutor, Task
+from tiler.schedule import Executor, LocalExecutor, Outcome, Perform, SerialExecutor, Task
 from tiler.schedule.workers import DaskExecutor
 
 
@@ -34,9 +36,24 @@ class Twice(SerialExecutor):
             yield perform(store_url, task)
 
 
+class OnDask(DaskExecutor):
+    """A cluster of two workers, as far as this machine can have one."""
+
+    def __init__(self) -> None:
+        self.cluster: Any = distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
+        )
+        super().__init__(self.cluster.scheduler_address)
+
+    def close(self) -> None:
+        super().close()
+        self.cluster.close()
+
+
 EXECUTORS: dict[str, Callable[[], Executor]] = {
-    "one Dask worker": lambda: DaskExecutor(1),
-    "two Dask workers": lambda: DaskExecutor(2),
+    "one worker": lambda: LocalExecutor(1),
+    "two workers": lambda: LocalExecutor(2),
+    "two Dask workers": OnDask,
     "another order": lambda: Shuffled(1),
     "one more order": lambda: Shuffled(2),
     "twice": Twice,
@@ -47,7 +64,7 @@ EXECUTORS: dict[str, Callable[[], Executor]] = {
 def test_every_executor_gives_the_same_bytes(
     name: str, quarter_files: list[Path], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.job.make_executor", lambda workers, address: EXECUTORS[name]())
+    monkeypatch.setattr("tiler.job.make_executor", lambda *_: EXECUTORS[name]())
     result = do(quarter_files, tmp_path / "out")
     assert result.exit_code == 0
     assert output_digests(tmp_path / "out") == output_digests(finished)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
-from tiler.errors import ProcessingError
+from tiler.errors import ProcessingError, refused_write
 from tiler.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
 from tiler.las.headers import LasHeader, read_header
 from tiler.las.reader import EVERYTHING, PointReader, Records, rows_at_once
@@ -77,9 +77,7 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         os.replace(partial, out)
         _sync_folder(out.parent)
     except OSError as error:
-        raise ProcessingError(
-            f"{out}: cannot be written ({error.strerror or error}); see to space and rights"
-        ) from error
+        raise refused_write(str(out), error, out.parent) from error
     finally:
         partial.unlink(missing_ok=True)
     if record["refused"]:

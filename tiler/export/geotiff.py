@@ -18,7 +18,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from tiler.core.raster import NODATA
-from tiler.errors import ProcessingError
+from tiler.errors import refused_write
 
 TILE = 512
 """Side of a tile inside of the file, pixels; of the store's raster chunks, too."""
@@ -130,5 +130,4 @@ def raster_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except (RasterioError, OSError) as error:
-        line = " ".join(str(error).split())
-        raise ProcessingError(f"{path}: cannot be written ({line}); make room or name another OUT") from error
+        raise refused_write(str(path), error, path.parent) from error

@@ -9,7 +9,8 @@ Listener = Callable[[str, dict[str, Any]], None]
 """Called with the event's name and JSON-able fields.
 
 Names: ``note`` (text), ``warning`` (text), ``stage_started`` (stage, tasks, points, done), ``task_done``
-(stage, key, points, seconds, peak_rss_bytes), ``task_failed`` (stage, key, error), ``stage_finished``
+(stage, key, points, seconds, peak_rss_bytes), ``task_again``
+(stage, key, error: it failed and is tried again), ``task_failed`` (the same, and its bounds), ``stage_finished``
 (stage, seconds), ``run_finished``.
 """
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tiler.errors import ConfigError, ProcessingError
+from tiler.errors import ConfigError, refused_write
 
 
 def write_run_file(out: Path, content: dict[str, Any]) -> None:
@@ -21,9 +22,9 @@ def write_run_file(out: Path, content: dict[str, Any]) -> None:
             os.fsync(stream.fileno())
         os.replace(partial, out / "run.json")
     except OSError as error:
-        raise ProcessingError(
-            f"{out}/run.json: cannot be written ({error.strerror}); see to space and rights"
-        ) from error
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise refused_write(f"{out}/run.json", error, out) from error
 
 
 def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> dict[str, Any]:

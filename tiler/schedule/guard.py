@@ -8,19 +8,25 @@ from __future__ import annotations
 
 import os
 import pickle
+import resource
 import signal
+import struct
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 from tiler.errors import TilerError
 
 Result = TypeVar("Result")
 
 MEMORY_BYTES = 1 << 30
+
+SIZE = struct.Struct("<Q")
+"""Before each call, its bytes: the thread that reads them must not have to import anything."""
 
 
 class Died(TilerError):
@@ -32,13 +38,15 @@ class Guard:
 
     Parameters
     ----------
-    memory_bytes : int
-        What the child may allocate (RLIMIT_DATA, where the system enforces it).
+    memory_bytes : int or None
+        What the child may allocate (RLIMIT_DATA, where the system enforces it); None: anything.
     """
 
-    def __init__(self, memory_bytes: int = MEMORY_BYTES) -> None:
+    def __init__(self, memory_bytes: int | None = MEMORY_BYTES) -> None:
         self._memory = memory_bytes
         self._child: subprocess.Popen[bytes] | None = None
+        self._began = 0.0
+        self._seconds = 0.0
 
     def __enter__(self) -> Guard:
         return self
@@ -49,7 +57,16 @@ class Guard:
         self.close()
 
     def call(self, function: Callable[..., Result], *arguments: Any, seconds: float) -> Result:
-        """``function(*arguments)``, as the child computes it.
+        """``function(*arguments)``, as the child computes it: `start` and `result`."""
+        try:
+            self.start(function, *arguments, seconds=seconds)
+            return self.result()  # type: ignore[no-any-return]  # pickle has no types
+        except KeyboardInterrupt:
+            self.close()  # it still works on this call: its answer must not be taken for the next one's
+            raise
+
+    def start(self, function: Callable[..., Any], *arguments: Any, seconds: float) -> None:
+        """Let the child begin with a call; there is one at a time.
 
         Parameters
         ----------
@@ -57,6 +74,19 @@ class Guard:
             Of a module (it travels by name); arguments and result are pickled.
         seconds : float
             After which the child is taken for hung, and ends.
+        """
+        if self._child is None:
+            self._child = _child(self._memory)
+        self._began, self._seconds = time.monotonic(), seconds
+        try:
+            call = pickle.dumps((function, arguments, seconds))
+            _pipe(self._child.stdin).write(SIZE.pack(len(call)) + call)
+            _pipe(self._child.stdin).flush()
+        except OSError:
+            return  # it died while it waited: `result` says so
+
+    def result(self) -> Any:
+        """What the call gave; waits for it.
 
         Raises
         ------
@@ -65,62 +95,71 @@ class Guard:
         Exception
             What the function raised.
         """
-        started = time.monotonic()
-        child = self._running()
-        assert child.stdin is not None  # both are pipes
-        assert child.stdout is not None
+        if self._child is None:
+            raise Died("was ended")
         try:
-            pickle.dump((function, arguments, seconds), child.stdin)
-            child.stdin.flush()
-            fine, result = pickle.load(child.stdout)  # written by our own child
+            fine, result = pickle.load(_pipe(self._child.stdout))  # written by our own child
         except (EOFError, OSError, pickle.UnpicklingError):
-            code = self._end(child)
-            raise Died(_fate(code, time.monotonic() - started >= seconds, seconds)) from None
-        except BaseException:
-            self._end(child)  # it still works on this call: its answer must not be taken for the next one's
-            raise
+            late = time.monotonic() - self._began >= self._seconds
+            raise Died(_fate(self._end(), late, self._seconds)) from None
         if fine:
-            return result  # type: ignore[no-any-return]  # pickle has no types
+            return result
         if isinstance(result, MemoryError):
-            self._end(child)
-            raise Died(f"needs more than the {self._memory >> 20} MiB of memory that it may have")
+            self.close()
+            raise Died(f"needs more than the {(self._memory or 0) >> 20} MiB of memory that it may have")
         raise result
 
+    def fileno(self) -> int:
+        """Of the pipe that becomes readable when `result` need not wait; while a call is under way."""
+        return -1 if self._child is None else _pipe(self._child.stdout).fileno()
+
     def close(self) -> None:
-        """End the child, if there is one."""
+        """End the child, if there is one, whatever it does."""
         if self._child is not None:
-            self._end(self._child)
+            self._child.kill()
+            self._end()
 
-    def _running(self) -> subprocess.Popen[bytes]:
-        if self._child is None:
-            environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
-            self._child = subprocess.Popen(
-                [sys.executable, "-m", "tiler.schedule.guarded", str(self._memory)],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
-            )  # fmt: skip
-        return self._child
-
-    def _end(self, child: subprocess.Popen[bytes]) -> int:
-        """Kill the child if it lives; its exit code."""
-        self._child = None
-        for pipe in (child.stdin, child.stdout):
-            if pipe is not None:
-                try:
-                    pipe.close()
-                except OSError:
-                    continue  # what was to be written has no reader any more
+    def _end(self) -> int:
+        """Let go of a child that ends; its exit code."""
+        child, self._child = self._child, None
+        assert child is not None  # callers looked
+        with suppress(OSError):  # what was to be written has no reader any more
+            _pipe(child.stdin).close()
+        _pipe(child.stdout).close()
         try:
-            # A dying child needs a moment; one that lives would wait for work.
-            return child.wait(timeout=1.0)
+            return child.wait(timeout=5.0)
         except subprocess.TimeoutExpired:
             child.kill()
             return child.wait()
+
+
+def _child(memory_bytes: int | None) -> subprocess.Popen[bytes]:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
+    return subprocess.Popen(
+        [sys.executable, "-m", "tiler.schedule.guarded", *([] if memory_bytes is None else [str(memory_bytes)])],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
+    )  # fmt: skip
+
+
+def _pipe(stream: IO[bytes] | None) -> IO[bytes]:
+    if stream is None:
+        raise ValueError("the child was started with pipes")
+    return stream
+
+
+def limit_memory(size_bytes: int) -> None:
+    """Refuse to allocate more than this in this process; an allocation beyond fails at once."""
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    size = size_bytes if hard == resource.RLIM_INFINITY else min(size_bytes, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (size, hard))
 
 
 def _fate(code: int, late: bool, seconds: float) -> str:
     """What an exit code tells, as a predicate."""
     if code == 1 and late:
         return f"did not end within {seconds:g} s"
+    if code == -signal.SIGKILL:
+        return "was killed (SIGKILL), as a system does that runs out of memory"
     if code < 0:
         return f"crashed ({signal.Signals(-code).name})"
     return f"crashed (exit code {code})"

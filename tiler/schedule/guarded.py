@@ -5,9 +5,13 @@ from __future__ import annotations
 import faulthandler
 import os
 import pickle
-import resource
+import queue
 import signal
 import sys
+import threading
+from typing import BinaryIO
+
+from tiler.schedule.guard import SIZE, limit_memory
 
 
 def main() -> None:
@@ -15,18 +19,18 @@ def main() -> None:
     signal.signal(
         signal.SIGINT, signal.SIG_IGN
     )  # Ctrl-C reaches every process; the end of the pipe ends this one
-    limit_memory(int(sys.argv[1]))
+    if len(sys.argv) > 1:
+        limit_memory(int(sys.argv[1]))
     # What libraries print must not come between the answers.
     answers, calls = os.fdopen(os.dup(1), "wb"), sys.stdin.buffer
     os.dup2(2, 1)
+    asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(calls, asked), daemon=True).start()
     while True:
         try:
-            function, arguments, seconds = pickle.load(calls)  # of the process that started this one
-        except EOFError:
-            return
-        # A thread of C, which also ends a process that hangs in a library while it holds the interpreter's lock.
-        faulthandler.dump_traceback_later(seconds, exit=True)
-        try:
+            function, arguments, seconds = pickle.loads(asked.get())  # of the process that started this one
+            # A thread of C, which also ends a process that hangs in a library while it holds the interpreter's lock.
+            faulthandler.dump_traceback_later(seconds, exit=True)
             answer = (True, function(*arguments))
         except BaseException as error:  # noqa: BLE001 - a decoder may panic with what is no Exception
             answer = (False, _portable(error))
@@ -35,11 +39,14 @@ def main() -> None:
         answers.flush()
 
 
-def limit_memory(size_bytes: int) -> None:
-    """Refuse to allocate more than this in this process; an allocation beyond fails at once."""
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    size = size_bytes if hard == resource.RLIM_INFINITY else min(size_bytes, hard)
-    resource.setrlimit(resource.RLIMIT_DATA, (size, hard))
+def _listen(calls: BinaryIO, asked: queue.SimpleQueue[bytes]) -> None:
+    """Read calls; the end of the pipe is the end of the process that asks, and of this one in the midst of its work."""
+    while True:
+        size = calls.read(SIZE.size)
+        call = calls.read(SIZE.unpack(size)[0]) if len(size) == SIZE.size else b""
+        if not call:
+            os._exit(0)
+        asked.put(call)
 
 
 def _portable(error: BaseException) -> BaseException:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
-from tiler.schedule.task import Outcome, Perform, Task
+from tiler.schedule.task import TRIES, Outcome, Perform, Task
 
 
 class SerialExecutor:
@@ -15,7 +16,12 @@ class SerialExecutor:
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes in the order of the tasks."""
         for task in tasks:
-            yield perform(store_url, task)
+            for tries in range(1, TRIES + 1):
+                outcome = perform(store_url, task)
+                again = outcome.again and tries < TRIES
+                yield replace(outcome, again=again)
+                if not again:
+                    break
 
     def close(self) -> None:
         """Nothing to release."""

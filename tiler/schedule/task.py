@@ -42,7 +42,15 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task: its record, or the error that ended it (one line, and its exception's name)."""
+    """What became of a task: its record, or the error that ended it (one line, and its exception's name).
+
+    Attributes
+    ----------
+    again : bool
+        Trying again could help. Where an executor yields it, that is what it does: this is not the last word.
+    fatal : bool
+        No other task could succeed either.
+    """
 
     task: Task
     record: dict[str, Any] | None
@@ -50,6 +58,32 @@ class Outcome:
     error_kind: str | None = None
     seconds: float = 0.0
     peak_rss_bytes: int = 0
+    again: bool = False
+    fatal: bool = False
+
+
+TRIES = 3
+"""Of a task: then it is given up, and the rest goes on."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a worker may take for a task before it is taken for lost.
+
+    Attributes
+    ----------
+    memory_bytes : int or None
+        That a worker of this machine may allocate; None: anything.
+    seconds : float
+        That a task of a million points may take, as may smaller ones; larger ones in proportion.
+    """
+
+    memory_bytes: int | None = None
+    seconds: float = 600.0
+
+    def seconds_of(self, task: Task) -> float:
+        """After which the worker of a task is taken for hung."""
+        return self.seconds * max(task.points / 1e6, 1.0)
 
 
 Perform = Callable[[str, Task], Outcome]
@@ -62,7 +96,7 @@ class Executor(Protocol):
     workers: int
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Outcomes as they come, in any order, with a bounded number of tasks in flight."""
+        """Outcomes as they come, in any order, with a bounded number of tasks in flight; one a try."""
         ...
 
     def close(self) -> None:

@@ -7,9 +7,7 @@ one, or none.
 from __future__ import annotations
 
 import asyncio
-import errno
 import json
-import os
 import shutil
 import zlib
 from collections.abc import AsyncIterator, Sequence
@@ -23,7 +21,7 @@ from zarr.core.buffer import default_buffer_prototype
 from zarr.core.sync import sync
 from zarr.storage import FsspecStore, LocalStore
 
-from tiler.errors import ConfigError, ProcessingError, StoreError
+from tiler.errors import ConfigError, ProcessingError, StoreError, refused_write
 
 # Parallelism is over processes: one thread decodes here. The requests of one read still overlap, which is
 # what an object store needs and what costs nothing on a local disk.
@@ -186,13 +184,7 @@ def parse_json(data: bytes, where: str) -> Any:
 
 def failed_write(url: str, key: str, error: OSError) -> ProcessingError:
     """The one-line error of a write that the file system refused."""
-    remedy = (
-        "free some space and run again"
-        if error.errno in (errno.ENOSPC, errno.EDQUOT)
-        else "check it and run again"
-    )
-    reason = os.strerror(error.errno) if error.errno else str(error)
-    return ProcessingError(f"{url}: cannot write {key}: {reason}; {remedy}")
+    return refused_write(f"{url}: {key}", error, local_path(url))
 
 
 def _sealed(body: Any) -> bytes:

@@ -6,11 +6,14 @@ import ctypes
 import os
 import signal
 import time
-from typing import NoReturn
+from functools import partial
+from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 
 from tiler.errors import InputError
+from tiler.schedule import Outcome, Task
 
 
 def double(value: int) -> int:
@@ -31,6 +34,10 @@ def crash() -> None:
 
 def abort() -> None:
     os.kill(os.getpid(), signal.SIGABRT)
+
+
+def kill() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def leave() -> None:
@@ -63,3 +70,31 @@ def chatter() -> str:
     print("between the answers")
     os.write(1, b"and below Python")
     return "answer"
+
+
+def square(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    """A work of a task, which does what its arguments say first."""
+    if "wait" in arguments:
+        time.sleep(arguments["wait"])
+    name = arguments.get("does")
+    tries = Path(store_url, f"tries-{arguments['value']}")
+    tries.mkdir(parents=True, exist_ok=True)
+    (tries / f"{os.getpid()}-{time.monotonic_ns()}").touch()
+    if name and len(list(tries.iterdir())) <= arguments.get("times", 99):
+        {"leave": leave, "kill": kill, "crash": crash, "sleep": sleep, "fail": partial(fail, "cloud.las: bad"),
+         "hang": hang_with_the_lock, "allocate": partial(allocate, 8), "stumble": stumble}[name]()  # fmt: skip
+    return {"square": arguments["value"] ** 2}
+
+
+def stumble() -> NoReturn:
+    raise OSError("a passing fault")
+
+
+def perform(store_url: str, task: Task) -> Outcome:
+    """As `tiler.perform.perform`, with no store."""
+    try:
+        return Outcome(task, task.work(store_url, task.arguments))
+    except InputError as error:
+        return Outcome(task, None, str(error), "InputError")
+    except (OSError, MemoryError) as error:
+        return Outcome(task, None, str(error), type(error).__name__, again=True)

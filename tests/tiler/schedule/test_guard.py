@@ -70,3 +70,12 @@ def test_no_child_without_a_call_and_none_is_left_behind() -> None:
         assert len(psutil.Process().children()) == before
         child = psutil.Process(guard.call(calls.pid, seconds=SECONDS))
     assert not child.is_running()
+
+
+def test_a_call_that_the_child_cannot_find_is_an_error(guard: Guard, monkeypatch: pytest.MonkeyPatch) -> None:
+    child = guard.call(calls.pid, seconds=SECONDS)
+    monkeypatch.setattr(calls.double, "__qualname__", "triple")
+    monkeypatch.setattr(calls, "triple", calls.double, raising=False)
+    with pytest.raises(AttributeError, match="triple"):
+        guard.call(calls.double, 1, seconds=SECONDS)
+    assert guard.call(calls.pid, seconds=SECONDS) == child

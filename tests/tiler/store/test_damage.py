@@ -12,7 +12,7 @@ import pytest
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.raster import Block
-from tiler.errors import ProcessingError, StoreError
+from tiler.errors import DiskFullError, ProcessingError, StoreError
 from tiler.store import TileStore, open_store
 
 EVERYWHERE = Bounds(-(10**6), -(10**6), 10**6, 10**6)
@@ -110,7 +110,7 @@ def test_a_damaged_state_is_an_error(local_store: TileStore) -> None:
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_disk_that_refuses_is_a_processing_error(local_store: TileStore) -> None:
     Path(local_store.url).chmod(0o500)
-    with pytest.raises(ProcessingError, match=r"cannot write state/plan\.json"):
+    with pytest.raises(ProcessingError, match=r"state/plan\.json: cannot be written"):
         local_store.put_state("plan", 1)
 
 
@@ -124,7 +124,7 @@ def test_a_full_disk_is_a_processing_error_with_its_remedy(
 
     monkeypatch.setattr(Path, "replace", full)
     cell = next(iter(filled.buckets()))
-    with pytest.raises(ProcessingError, match="No space left on device; free some space and run again"):
+    with pytest.raises(DiskFullError, match="No space left on device.: the disk is full; free some"):
         filled.put_state("plan", 1)
-    with pytest.raises(ProcessingError, match="cannot write points/xyz: No space left"):
+    with pytest.raises(DiskFullError, match="points/xyz: cannot be written .No space left"):
         filled.write_bucket(cell, filled.read_bucket(cell, FIELDS), 0)

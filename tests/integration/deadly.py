@@ -1,0 +1,28 @@
+"""Tiles that kill, block or fill their worker: works that a worker process finds by name."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Any
+
+import numpy as np
+
+from tiler.filter import filter_tile
+
+CELL = "TILER_TEST_DEADLY_CELL"
+DEED = "TILER_TEST_DEED"
+
+
+def deadly_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """`filter_tile`, but for the tile that holds a bucket named in the environment."""
+    cell = [int(v) for v in os.environ[CELL].split(",")]
+    if cell in args["cells"]:
+        deed = os.environ[DEED]
+        if deed == "exit":
+            os._exit(1)
+        if deed == "allocate":
+            np.ones(1 << 32)
+        if deed == "sleep":
+            time.sleep(600)
+    return filter_tile(store_url, args)

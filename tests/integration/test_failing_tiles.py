@@ -1,0 +1,94 @@
+"""A tile that kills its worker is left out, with its cause and its hole; the rest is that of a run in peace."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from tests.integration import deadly
+from tests.invariants import clouds
+from tests.invariants.runs import do, dtm, output_digests, the_store
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.errors import ProcessingError
+
+SETTINGS = {"in_process": False, "workers": 2, "tile_size": "64"}
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(150.0, 1.5))
+
+
+@pytest.fixture
+def deadly_cells(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_buckets: None
+) -> list[list[int]]:
+    """The buckets of a tile that will be deadly to its worker; the ingest is done."""
+    do(cloud, tmp_path / "out", tile_size="64", until="filter")
+    cells: list[list[int]] = max(the_store(tmp_path / "out").committed("filter0").items())[1][1]["cells"]
+    monkeypatch.setattr("tiler.tasks.filter_tile", deadly.deadly_tile)
+    monkeypatch.setenv(deadly.CELL, f"{cells[0][0]},{cells[0][1]}")
+    return cells
+
+
+@pytest.mark.parametrize(
+    ("deed", "cause", "settings"),
+    [
+        ("exit", "killed its worker 3 times: it crashed (exit code 1)", {}),
+        pytest.param(
+            "sleep",
+            "killed its worker 3 times: it did not end within 5 s",
+            {"task_seconds": 5},
+            marks=pytest.mark.slow,
+        ),
+        pytest.param("allocate", "Unable to allocate 32.0 GiB", {}, marks=pytest.mark.slow),
+    ],
+)
+def test_a_deadly_tile_leaves_a_hole_that_is_told(
+    deed: str, cause: str, settings: dict[str, int], cloud: Path, tmp_path: Path,
+    deadly_cells: list[list[int]], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    out = tmp_path / "out"
+    monkeypatch.setenv(deadly.DEED, deed)
+    parameters = {"iteration_distance": "1.39"}
+    result = do(cloud, out, parameters=parameters, **SETTINGS, **settings)
+    assert result.exit_code == 5
+    (failed,) = result.summary["failed_tasks"]
+    assert failed["stage"] == "filter0"
+    assert cause in failed["error"]
+    lattice = the_store(out).meta.bucket
+    assert failed["bounds"] == [
+        edge / COUNTS_PER_UNIT
+        for edge in (
+            lattice.first(min(x for x, _ in deadly_cells)), lattice.first(min(y for _, y in deadly_cells)),
+            lattice.first(max(x for x, _ in deadly_cells) + 1), lattice.first(max(y for _, y in deadly_cells) + 1),
+        )
+    ]  # fmt: skip
+    events = [json.loads(line) for line in (out / "events.jsonl").read_text().splitlines()]
+    assert [e["event"] for e in events if e["event"].startswith("task_") and e["key"] == failed["key"]][-3:] == [
+        "task_again", "task_again", "task_failed",
+    ]  # fmt: skip
+    west, south, east, north = failed["bounds"]
+    before, after = laspy.read(cloud), laspy.read(out / "classified" / cloud.name)
+    inside = (before.x >= west) & (before.x < east) & (before.y >= south) & (before.y < north)
+    assert inside.sum() > 100
+    assert np.array_equal(np.asarray(before.classification)[inside], np.asarray(after.classification)[inside])
+    assert (np.asarray(after.classification)[~inside] == 2).sum() > 1000
+    assert (dtm(out)[0] != -9999).mean() > 0.5
+    # What was passing is gone: the same command ends in the bytes of a run in peace.
+    monkeypatch.setenv(deadly.CELL, "0,0")
+    assert do(cloud, out, parameters=parameters, **SETTINGS, **settings).exit_code == 0
+    do(cloud, tmp_path / "peace", tile_size="64", parameters=parameters)
+    assert output_digests(out) == output_digests(tmp_path / "peace")
+
+
+def test_a_deadly_tile_stops_a_strict_run(
+    cloud: Path, tmp_path: Path, deadly_cells: list[list[int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(deadly.DEED, "exit")
+    with pytest.raises(ProcessingError, match="killed its worker 3 times.*--on-error skip goes on"):
+        do(cloud, tmp_path / "out", parameters={"iteration_distance": "1.39"}, on_error="stop", **SETTINGS)

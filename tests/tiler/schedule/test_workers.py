@@ -1,0 +1,138 @@
+"""Tasks that kill, block or fill their workers: the others are done, and those alone are given up."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from tests.tiler.schedule import calls
+from tiler.schedule import TRIES, Executor, Limits, LocalExecutor, Outcome, SerialExecutor, Task
+
+SECONDS = 1.0
+
+
+def task(value: int, **arguments: Any) -> Task:
+    return Task("stage", f"t{value}", "digest", calls.square, {"value": value, **arguments}, points=10)
+
+
+@pytest.fixture(scope="module")
+def two() -> Iterator[LocalExecutor]:
+    executor = LocalExecutor(2, limits=Limits(memory_bytes=1 << 30, seconds=SECONDS))
+    yield executor
+    executor.close()
+
+
+def run(executor: Executor, tasks: list[Task], folder: Path) -> tuple[dict[int, Outcome], Counter[int]]:
+    """The last outcome of each task by its value, and how many were tried again."""
+    ends: dict[int, Outcome] = {}
+    again: Counter[int] = Counter()
+    for outcome in executor.run(calls.perform, str(folder), tasks):
+        value = outcome.task.arguments["value"]
+        assert value not in ends, "an outcome after the last word"
+        if outcome.again:
+            again[value] += 1
+        else:
+            ends[value] = outcome
+    return ends, again
+
+
+def tries(folder: Path, value: int) -> list[str]:
+    """Processes that worked on a task, in order."""
+    names = sorted(
+        (p.name for p in (folder / f"tries-{value}").iterdir()), key=lambda n: int(n.split("-")[1])
+    )
+    return [name.split("-")[0] for name in names]
+
+
+def others(n: int) -> list[Task]:
+    return [task(100 + i, wait=0.02) for i in range(n)]
+
+
+@pytest.mark.parametrize(
+    ("does", "cause"),
+    [
+        ("leave", "killed its worker 3 times: it crashed (exit code 7)"),
+        ("crash", "killed its worker 3 times: it crashed (SIGSEGV)"),
+        (
+            "kill",
+            "killed its worker 3 times: it was killed (SIGKILL), as a system does that runs out of memory",
+        ),
+        ("hang", "killed its worker 3 times: it did not end within 1 s"),
+        ("allocate", "Unable to allocate 8.00 GiB"),
+    ],
+)
+def test_a_task_that_kills_is_given_up_and_the_rest_is_done(
+    two: LocalExecutor, does: str, cause: str, tmp_path: Path
+) -> None:
+    ends, again = run(two, [*others(5), task(1, does=does), *others(8)[5:]], tmp_path)
+    assert ends[1].record is None
+    assert cause in str(ends[1].error)
+    assert again[1] == TRIES - 1
+    assert len(tries(tmp_path, 1)) == TRIES
+    for value in range(100, 108):
+        assert ends[value].record == {"square": value**2}
+
+
+def test_a_task_is_tried_again_on_another_worker(two: LocalExecutor, tmp_path: Path) -> None:
+    ends, again = run(two, [task(1, does="stumble", times=1), *others(4)], tmp_path)
+    assert ends[1].record == {"square": 1}
+    assert again == {1: 1}
+    first, second = tries(tmp_path, 1)
+    assert first != second
+
+
+def test_a_task_that_kills_once_is_done_then(two: LocalExecutor, tmp_path: Path) -> None:
+    ends, _ = run(two, [task(1, does="leave", times=1), *others(4)], tmp_path)
+    assert all(outcome.record for outcome in ends.values())
+    assert len(ends) == 5
+
+
+def test_what_cannot_help_is_not_tried_again(two: LocalExecutor, tmp_path: Path) -> None:
+    ends, again = run(two, [task(1, does="fail")], tmp_path)
+    assert ends[1].error == "cloud.las: bad"
+    assert not again
+
+
+def test_one_worker_is_another_process_too(tmp_path: Path) -> None:
+    executor = LocalExecutor(1)
+    try:
+        ends, again = run(executor, [task(1, does="crash", times=2), *others(2)], tmp_path)
+    finally:
+        executor.close()
+    assert all(outcome.record for outcome in ends.values())
+    assert again == {1: 2}
+    assert len(set(tries(tmp_path, 1))) == 3
+    assert str(os.getpid()) not in tries(tmp_path, 1)
+
+
+def test_workers_end_in_the_midst_of_their_work(tmp_path: Path) -> None:
+    before = set(psutil.Process().children(recursive=True))
+    executor = LocalExecutor(2)
+    outcomes = executor.run(calls.perform, str(tmp_path), [task(1), task(2, wait=60), task(3, wait=60)])
+    next(outcomes)
+    workers = set(psutil.Process().children(recursive=True)) - before
+    assert len(workers) == 2
+    executor.close()
+    assert not psutil.wait_procs(workers, timeout=5)[1]
+
+
+@pytest.mark.parametrize(("times", "record"), [(2, {"square": 1}), (3, None)])
+def test_the_serial_executor_tries_as_often(
+    times: int, record: dict[str, int] | None, tmp_path: Path
+) -> None:
+    ends, again = run(SerialExecutor(), [task(1, does="stumble", times=times), *others(1)], tmp_path)
+    assert ends[1].record == record
+    assert again == {1: TRIES - 1}
+    assert ends[100].record
+
+
+def test_larger_tasks_may_take_longer() -> None:
+    limits = Limits(seconds=10)
+    assert limits.seconds_of(Task("s", "k", "d", calls.square, {}, points=5_000_000)) == 50
+    assert limits.seconds_of(task(1)) == 10
