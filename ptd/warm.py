@@ -42,12 +42,14 @@ def warm_filters(tell: Callable[[], None]) -> None:
 
 def warm_gridding(tell: Callable[[], None]) -> None:
     """Compile what gridding uses, unless that was done; ``tell`` is called before it takes long."""
+    from ptd import highest, nearest
     from ptd.tin import Pixels, Tin, Window, raster, rasterise
 
-    if not _compiled(raster.scan):
+    if not all(_compiled(kernel) for kernel in (raster.scan, highest._update, nearest._search)):
         tell()
+        pixels = Pixels(1000, 1, 0, 29, 30, 30)
         x, y, z = (1000 * _scene().T).astype(np.int32)
         window = Window(-1000, -1000, 31_000, 31_000)
-        rasterise(
-            Tin.build(x, y, z), Pixels(1000, 1, 0, 29, 30, 30), max_edge=5e4, max_radius=5e4, window=window
-        )
+        rasterise(Tin.build(x, y, z), pixels, max_edge=5e4, max_radius=5e4, window=window)
+        nearest.nearest_points(x, y, z, pixels, 1, 5e3)
+        highest.HighestReturns(1, 1).add(np.zeros(x.size, np.int64), np.stack([x, y, z]))

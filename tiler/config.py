@@ -45,6 +45,9 @@ class RunConfig:
                                     unit="m", kind="length")  # fmt: skip
     max_edge: Fraction = setting(Fraction(100), "a pixel is nodata where its facet's longest edge or circumradius "
                                  "is longer", unit="m", kind="length")  # fmt: skip
+    voids: str = setting("leave", "pixels beyond `max-edge` inside the survey: leave (no height), fill (from "
+                         "their rim), or mark (fill, and write the mask)", kind="choice",
+                         choices=("leave", "fill", "mark"))  # fmt: skip
     spike: Fraction = setting(Fraction(5), "the DSM leaves out a highest return that rises so far above all returns "
                               "around it (next pixels, at least 1 m)", unit="m", kind="length")  # fmt: skip
     memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "

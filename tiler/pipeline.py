@@ -124,10 +124,10 @@ def _stages(job: Job, until: str) -> None:
     labels = _filter(job, assembled)
     if until == "filter":
         return
-    made = grid(job, assembled, labels)
+    gridding = grid(job, assembled, labels)
     if until == "grid":
         return
-    export(job, assembled, made, sources, spooled, labels)
+    export(job, gridding, sources, spooled, labels)
 
 
 def _numbered(job: Job) -> list[Source]:

@@ -1,105 +1,265 @@
-"""The tasks of the rasters that are made after the terrain's, and of the files; digests as in `tiler.tasks`."""
+"""The tasks of all rasters of a run but the terrain's own, and of their files; digests as in `tiler.tasks`.
+
+Besides the products there are rasters that only the store holds: ``occupancy`` and ``survey`` (coarse cells, see
+`tiler.grid.survey`), and for a model of which voids are filled ``<name>-voids`` and ``<name>-filled``.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from tiler import __version__
-from tiler.core.lattice import Cell
+from tiler.config import RunConfig
+from tiler.core.lattice import Cell, Lattice
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import Block, RasterSpec
 from tiler.export import write_cog
-from tiler.grid import density_block, derive_block, distance_block, full_halo, reach_pixels, surface_block
+from tiler.grid import (
+    density_block,
+    derive_block,
+    distance_block,
+    fill_block,
+    find_voids,
+    full_halo,
+    mask_block,
+    occupancy_block,
+    reach_pixels,
+    surface_block,
+    survey_raster,
+)
 from tiler.plan import GRID_BLOCK, Plan
 from tiler.schedule import Task, Work, digest_of
-from tiler.tasks import Assembled, ground_arguments, raster_spec
+from tiler.tasks import Assembled, grid_tasks, ground_arguments, raster_spec
 
 Commits = Mapping[str, tuple[str, dict[str, Any]]]
-Made = Mapping[str, Commits]
-"""Name of a raster -> the commits of its blocks."""
+
+MODELS = ("dtm", "dsm")
+"""Products whose voids can be filled."""
 
 DERIVED = {"ndsm": ("dsm", "dtm"), "hillshade": ("dtm",), "slope": ("dtm",)}
-"""Products that follow from other rasters, and from which."""
+"""Products that follow from models, and from which."""
 
 FROM_POINTS: dict[str, Work] = {
     "dsm": surface_block,
     "density": density_block,
     "distance": distance_block,
+    "occupancy": occupancy_block,
 }
 
+WHOLE = "whole"
+"""Key of the one task of a raster that is made at once."""
 
-def wanted(products: tuple[str, ...]) -> list[str]:
-    """The rasters to make for some products, each after those that it follows from."""
-    names = {"dtm", *products}
-    for product in products:
-        names.update(DERIVED.get(product, ()))
-    return [name for name in PRODUCTS if name in names]
-
-
-def fill_of(name: str, plan: Plan) -> float:
-    """What the store holds where no block was written."""
-    if name == "distance":
-        return float(plan.config.max_edge)
-    nodata = PRODUCTS[name].nodata
-    return 0.0 if nodata is None else nodata
+COARSE_SHARE = 16
+"""Coarse cells in the limit of a facet's edge."""
+MAX_COARSE_CELLS = 8_000_000
+"""Of a run; larger ones have coarser cells, so that the memory of one worker suffices."""
 
 
-def product_tasks(
-    name: str, plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], made: Made
-) -> Iterator[Task]:
-    """One for each block of a product that can hold anything."""
+@dataclass
+class Gridding:
+    """What the stage grid works on, and what it has made: name of a raster -> commits of its blocks."""
+
+    plan: Plan
+    assembled: Assembled
+    labels: Mapping[Cell, str]
+    made: dict[str, Commits] = field(default_factory=dict)
+
+    @property
+    def spec(self) -> RasterSpec:
+        """Pixels of the products."""
+        return raster_spec(self.plan, self.assembled)
+
+    @property
+    def coarse(self) -> RasterSpec:
+        """Coarse cells of the run."""
+        size, bounds = self.coarse_m, self.assembled.bounds()
+        return RasterSpec.covering(Lattice(self.plan.meta.frame.counts(size)), bounds)
+
+    @property
+    def coarse_m(self) -> Fraction:
+        """Metres of a coarse cell."""
+        size = max(self.plan.config.max_edge / COARSE_SHARE, self.plan.resolution)
+        area = self.assembled.bounds().area() * self.plan.meta.frame.metres_xy**2
+        while area / size**2 > MAX_COARSE_CELLS:
+            size *= 2
+        return size
+
+    def spec_of(self, name: str) -> RasterSpec:
+        """Pixels or cells of a raster."""
+        return self.coarse if name in ("occupancy", "survey") or name.endswith("-voids") else self.spec
+
+    def fill_of(self, name: str) -> float:
+        """What the store holds where no block was written."""
+        if name == "distance":
+            return float(self.plan.config.max_edge)
+        product = PRODUCTS.get(name.removesuffix("-filled"))
+        return 0.0 if product is None or product.nodata is None else product.nodata
+
+
+def exported(config: RunConfig) -> tuple[str, ...]:
+    """The products that become files."""
+    marked = {"mask"} if config.voids == "mark" else set()
+    return tuple(name for name in PRODUCTS if name in marked or name in config.products)
+
+
+def final(name: str, config: RunConfig) -> str:
+    """The raster of the store that holds a product as people get it."""
+    return f"{name}-filled" if name in MODELS and config.voids != "leave" else name
+
+
+def wanted(config: RunConfig) -> list[str]:
+    """The rasters to make, each after those that it follows from."""
+    products = {"dtm", *exported(config)}
+    for product in exported(config):
+        products.update(DERIVED.get(product, ()))
+    fill = config.voids != "leave"
+    names = ["dtm", *(("occupancy", "survey") if fill or "mask" in products else ())]
+    for model in MODELS:
+        names += [model] if model in products and model != "dtm" else []
+        names += [f"{model}-voids", f"{model}-filled"] if model in products and fill else []
+    return names + [name for name in PRODUCTS if name in products and name not in MODELS]
+
+
+def raster_tasks(name: str, g: Gridding) -> Iterator[Task]:
+    """One for each block of a raster that can hold anything, or one for the whole."""
+    if name == "dtm":
+        return grid_tasks(g.plan, g.assembled, g.labels, name)
     if name in DERIVED:
-        yield from _derived_tasks(name, plan, assembled, made)
-    else:
-        yield from _point_tasks(name, plan, assembled, labels)
+        return _derived_tasks(name, g)
+    if name == "survey":
+        return _survey_task(g)
+    if name == "mask":
+        return _mask_tasks(g)
+    if name.endswith("-voids"):
+        return _voids_task(name, g)
+    if name.endswith("-filled"):
+        return _fill_tasks(name, g)
+    return _point_tasks(name, g)
 
 
-def _point_tasks(name: str, plan: Plan, assembled: Assembled, labels: Mapping[Cell, str]) -> Iterator[Task]:
-    spec = raster_spec(plan, assembled)
-    special, reach = _point_arguments(name, plan, assembled)
-    common = {"name": name, "spec": spec.to_json(), **ground_arguments(plan), **special}
+def _near(g: Gridding, spec: RasterSpec, block: Block, reach: int = 0) -> list[Cell]:
+    """Buckets within ``reach`` counts of a block."""
+    window = spec.block_bounds(block).pad(reach)
+    return [cell for cell in g.plan.meta.bucket.cells(window) if cell in g.labels]
+
+
+def _of_block(block: Block) -> list[int]:
+    return [block.row, block.col, block.height, block.width]
+
+
+def _point_tasks(name: str, g: Gridding) -> Iterator[Task]:
+    spec = g.spec_of(name)
+    special, reach = _point_arguments(name, g)
+    common = {"name": name, "spec": spec.to_json(), **ground_arguments(g.plan), **special}
     for block in spec.blocks(GRID_BLOCK):
-        window = spec.block_bounds(block).pad(reach)
-        near = [cell for cell in plan.meta.bucket.cells(window) if cell in labels]
+        near = _near(g, spec, block, reach)
         if not near:
             continue
-        arguments = {**common, "block": [block.row, block.col, block.height, block.width]}
-        digest = digest_of(__version__, arguments, [[cell.ix, cell.iy, labels[cell]] for cell in near])
-        points = sum(assembled.records[cell]["n"] for cell in near)
+        arguments = {**common, "block": _of_block(block)}
+        digest = digest_of(__version__, arguments, [[cell.ix, cell.iy, g.labels[cell]] for cell in near])
+        points = sum(g.assembled.records[cell]["n"] for cell in near)
         yield Task(f"grid-{name}", block.name, digest, FROM_POINTS[name], arguments, points)
 
 
-def _point_arguments(name: str, plan: Plan, assembled: Assembled) -> tuple[dict[str, Any], int]:
+def _point_arguments(name: str, g: Gridding) -> tuple[dict[str, Any], int]:
     """Arguments of a product alone, and how far its pixels see, in counts."""
-    frame = plan.meta.frame
+    plan, frame = g.plan, g.plan.meta.frame
     limit = frame.counts(plan.config.max_edge)
     if name == "distance":
         return {"cap": str(limit)}, math.ceil(limit) + 1
     if name == "dsm":
         reach = reach_pixels(plan.resolution)
         arguments = {
-            "data": assembled.bounds().to_json(), "max_edge": str(limit), "reach": reach,
+            "data": g.assembled.bounds().to_json(), "max_edge": str(limit), "reach": reach,
             "spike": str(plan.config.spike / frame.metres_z), "halo": math.ceil(frame.counts(plan.grid_halo)),
         }  # fmt: skip
         return arguments, full_halo(limit) + math.ceil((reach + 1) * frame.counts(plan.resolution))
     return {}, 0
 
 
-def _derived_tasks(name: str, plan: Plan, assembled: Assembled, made: Made) -> Iterator[Task]:
-    """Their pixels see one pixel of the blocks around."""
-    spec = raster_spec(plan, assembled)
-    sources = {source: source for source in DERIVED[name]}
-    common = {"name": name, "product": name, "spec": spec.to_json(), "fill": fill_of(name, plan), **sources}
+def _survey_task(g: Gridding) -> Iterator[Task]:
+    coarse = g.coarse
+    arguments = {
+        "name": "survey", "spec": coarse.to_json(), "occupancy": "occupancy",
+        "bridge": float(g.plan.config.max_edge / g.coarse_m),
+    }  # fmt: skip
+    digest = digest_of(__version__, arguments, _checksums(g.made["occupancy"]))
+    yield Task("grid-survey", WHOLE, digest, survey_raster, arguments, coarse.height * coarse.width)
+
+
+def _voids_task(name: str, g: Gridding) -> Iterator[Task]:
+    spec, model = g.spec, name.removesuffix("-voids")
+    arguments = {
+        "name": name, "heights": model, "spec": spec.to_json(), "survey": "survey", "coarse": g.coarse.to_json(),
+    }  # fmt: skip
+    digest = digest_of(__version__, arguments, _checksums(g.made[model]), _checksums(g.made["survey"]))
+    yield Task(f"grid-{name}", WHOLE, digest, find_voids, arguments, spec.height * spec.width)
+
+
+def _fill_tasks(name: str, g: Gridding) -> Iterator[Task]:
+    """Each depends on all blocks in which the rim of one of its holes can lie."""
+    model, spec, coarse = name.removesuffix("-filled"), g.spec, g.coarse
+    found = g.made[f"{model}-voids"]
+    boxes = found[WHOLE][1]["voids"] if WHOLE in found else []
+    common = {
+        "name": name, "heights": model, "spec": spec.to_json(), "survey": "survey", "coarse": coarse.to_json(),
+        "numbers": f"{model}-voids",
+    }  # fmt: skip
+    covers = [coarse.block_bounds(Block(*box)) for box in boxes]
+    pixel = math.ceil(spec.lattice.size)
     for block in spec.blocks(GRID_BLOCK):
-        if any(block.name not in made[source] for source in sources.values()):
+        bounds = spec.block_bounds(block)
+        mine = [number for number, cover in enumerate(covers) if cover.overlaps(bounds)]
+        seen = [_checksums(g.made["survey"]), _checksums(found) if mine else []]
+        reach = [covers[number].pad(2 * pixel) for number in mine] + [bounds]
+        for other in spec.blocks(GRID_BLOCK):
+            key = other.name
+            if key in g.made[model] and any(spec.block_bounds(other).overlaps(cover) for cover in reach):
+                seen.append([[key, g.made[model][key][1]["checksum"]]])
+        arguments = {**common, "block": _of_block(block), "voids": [[n + 1, *boxes[n]] for n in mine]}
+        digest = digest_of(__version__, arguments, seen)
+        yield Task(f"grid-{name}", block.name, digest, fill_block, arguments, block.height * block.width)
+
+
+def _mask_tasks(g: Gridding) -> Iterator[Task]:
+    spec, heights = g.spec, final("dtm", g.plan.config)
+    common = {
+        "name": "mask", "spec": spec.to_json(), "dtm": "dtm", "filled": heights, "survey": "survey",
+        "coarse": g.coarse.to_json(), **ground_arguments(g.plan),
+    }  # fmt: skip
+    survey = _checksums(g.made["survey"])
+    for block in spec.blocks(GRID_BLOCK):
+        arguments = {**common, "block": _of_block(block)}
+        rasters = [
+            g.made[name][block.name][1]["checksum"] for name in ("dtm", heights) if block.name in g.made[name]
+        ]
+        seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in _near(g, spec, block)]
+        digest = digest_of(__version__, arguments, survey, rasters, seen)
+        yield Task("grid-mask", block.name, digest, mask_block, arguments, block.height * block.width)
+
+
+def _derived_tasks(name: str, g: Gridding) -> Iterator[Task]:
+    """Their pixels see one pixel of the blocks around."""
+    spec = g.spec
+    sources = {model: final(model, g.plan.config) for model in DERIVED[name]}
+    common = {"name": name, "product": name, "spec": spec.to_json(), "fill": g.fill_of(name), **sources}
+    for block in spec.blocks(GRID_BLOCK):
+        if any(block.name not in g.made[source] for source in sources.values()):
             continue
-        arguments = {**common, "block": [block.row, block.col, block.height, block.width]}
-        seen = [_around(made[source], block) for source in sources.values()]
+        arguments = {**common, "block": _of_block(block)}
+        seen = [_around(g.made[source], block) for source in sources.values()]
         digest = digest_of(__version__, arguments, seen)
         yield Task(f"grid-{name}", block.name, digest, derive_block, arguments, block.height * block.width)
+
+
+def _checksums(commits: Commits) -> list[list[str]]:
+    return [[key, record["checksum"]] for key, (_, record) in sorted(commits.items())]
 
 
 def _around(commits: Commits, block: Block) -> list[list[str]]:
@@ -112,22 +272,23 @@ def _around(commits: Commits, block: Block) -> list[list[str]]:
     return [[key, commits[key][1]["checksum"]] for key in near if key in commits]
 
 
-def cog_task(plan: Plan, spec: RasterSpec, commits: Commits, inputs: str, out: Path, name: str) -> Task:
+def cog_task(g: Gridding, inputs: str, out: Path, name: str) -> Task:
     """The raster as a file."""
-    blocks = [[key, record["checksum"]] for key, (_, record) in sorted(commits.items())]
+    plan, raster, spec = g.plan, final(name, g.plan.config), g.spec
     arguments = {
-        "name": name, "product": name, "spec": spec.to_json(), "out": str(out), "compress": plan.config.compress,
+        "name": name, "raster": raster, "product": name, "spec": spec.to_json(), "out": str(out),
+        "compress": plan.config.compress,
         "tags": {
             "TILER_VERSION": __version__, "TILER_METHOD": plan.config.method,
-            "TILER_PARAMETERS": _text(plan.parameters), "TILER_INPUTS": inputs,
+            "TILER_PARAMETERS": json.dumps(plan.parameters, sort_keys=True),
+            "TILER_GRID": json.dumps(grid_settings(plan), sort_keys=True), "TILER_INPUTS": inputs,
         },
     }  # fmt: skip
-    return Task(
-        "export", f"{name}.tif", digest_of(arguments, blocks), write_cog, arguments, spec.height * spec.width
-    )
+    digest = digest_of(arguments, _checksums(g.made[raster]))
+    return Task("export", f"{name}.tif", digest, write_cog, arguments, spec.height * spec.width)
 
 
-def _text(parameters: Mapping[str, Any]) -> str:
-    import json
-
-    return json.dumps(parameters, sort_keys=True)
+def grid_settings(plan: Plan) -> dict[str, Any]:
+    """What made the rasters of the ground points, for their tags; lengths in metres."""
+    config = plan.config
+    return {"max_edge_m": float(config.max_edge), "spike_m": float(config.spike), "voids": config.voids}

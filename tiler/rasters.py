@@ -2,54 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ptd.warm import warm_gridding
 from tiler.core.lattice import Cell
+from tiler.core.products import MASK_VALUES
 from tiler.core.raster import RasterSpec
 from tiler.errors import ProcessingError
-from tiler.job import Commits, Job, Warm
+from tiler.job import Commits, Job
 from tiler.plan import GRID_BLOCK, KEEP
-from tiler.product_tasks import cog_task, fill_of, product_tasks, wanted
+from tiler.product_tasks import WHOLE, Gridding, cog_task, exported, raster_tasks, wanted
 from tiler.schedule import Task, digest_of
-from tiler.tasks import Assembled, Source, classified_tasks, grid_tasks, raster_spec
+from tiler.tasks import Assembled, Source, classified_tasks
 
 
-def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> dict[str, Commits]:
-    """All rasters that the products need, block by block; name -> commits of its blocks."""
-    spec = raster_spec(job.plan, assembled)
-    made: dict[str, Commits] = {}
-    for name in wanted(job.plan.config.products):
+def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
+    """All rasters that the products need, block by block."""
+    gridding = Gridding(job.plan, assembled, labels)
+    for name in wanted(job.plan.config):
+        tasks = list(raster_tasks(name, gridding))
+        gridding.made[name] = _raster(job, gridding, name, tasks)
         if name == "dtm":
-            tasks = list(grid_tasks(job.plan, assembled, labels, name))
-            made[name] = _blocks(job, spec, name, tasks, warm_gridding)
-            _tell_of_terrain(job, spec, tasks, made[name])
-        else:
-            tasks = list(product_tasks(name, job.plan, assembled, labels, made))
-            made[name] = _blocks(job, spec, name, tasks)
-    return made
+            _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
+    if "mask" in gridding.made:
+        _tell_of_mask(job, gridding.made["mask"])
+    return gridding
 
 
-def _blocks(job: Job, spec: RasterSpec, name: str, tasks: list[Task], warm: Warm | None = None) -> Commits:
+def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commits:
     """Make one raster of the store."""
-    stage, fill = f"grid-{name}", fill_of(name, job.plan)
+    stage, spec, fill = f"grid-{name}", gridding.spec_of(name), gridding.fill_of(name)
     done, stale = job.sorted_out(stage, tasks)
     job.take_back(stage, stale)
     job.store.create_raster(name, spec.height, spec.width, fill)
-    if job.store.get_state(f"raster-{name}"):  # an earlier run wrote blocks that this one may not write again
+    if job.store.get_state(f"raster-{name}") and WHOLE not in done:
+        # An earlier run wrote blocks that this one may not write again.
         for block in spec.blocks(GRID_BLOCK):
             if block.name not in done:
                 job.store.write_block(name, block, np.full((block.height, block.width), fill, np.float32))
     job.store.put_state(f"raster-{name}", spec.to_json())
-    made = job.perform(stage, tasks, warm)
+    made = job.perform(stage, tasks, warm_gridding)
     if tasks and not made:
         raise ProcessingError(f"no block of {name} could be made; the first: {job.failed[0]['error']}")
     return made
 
 
-def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Commits) -> None:
+def _tell_of_mask(job: Job, made: Mapping[str, Any]) -> None:
+    totals = np.sum([record["values"] for _, record in made.values()], axis=0).tolist()
+    job.facts["mask"] = {text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()}
+
+
+def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
     records = [record for _, record in made.values()]
     job.facts["dtm"] = {
         "width": spec.width, "height": spec.height, "resolution_m": float(job.plan.resolution),
@@ -60,14 +67,13 @@ def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Commit
 
 
 def export(
-    job: Job, assembled: Assembled, made: dict[str, Commits], sources: list[Source], spooled: Commits,
-    labels: dict[Cell, str],
-) -> None:  # fmt: skip
+    job: Job, gridding: Gridding, sources: list[Source], spooled: Commits, labels: dict[Cell, str]
+) -> None:
     """The files that people open."""
-    out, spec = job.out.resolve(), raster_spec(job.plan, assembled)
+    out = job.out.resolve()
     digest = digest_of(sorted(source.content for source in sources))
-    products = job.plan.config.products
-    tasks = [cog_task(job.plan, spec, made[name], digest, out, name) for name in products]
+    products = exported(job.plan.config)
+    tasks = [cog_task(gridding, digest, out, name) for name in products]
     if job.plan.config.method != KEEP:
         tasks += classified_tasks(job.plan, sources, spooled, labels, out)
     files = {
@@ -77,13 +83,13 @@ def export(
     for key, (_, record) in job.store.committed("export").items():
         if key in files and not (files[key].exists() and files[key].stat().st_size == record["bytes"]):
             job.store.uncommit("export", key)
-    exported = job.perform("export", tasks)
+    written = job.perform("export", tasks)
     job.facts["outputs"] = {
-        str(files[k].relative_to(out)): record["bytes"] for k, (_, record) in exported.items()
+        str(files[k].relative_to(out)): record["bytes"] for k, (_, record) in written.items()
     }
-    for _, record in exported.values():
+    for _, record in written.values():
         for text in record.get("notes", ()):
             job.note(text)
     for name in products:
-        if f"{name}.tif" not in exported:
+        if f"{name}.tif" not in written:
             raise ProcessingError(f"{name}.tif could not be written: {job.failed[-1]['error']}")

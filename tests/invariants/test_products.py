@@ -10,8 +10,10 @@ import pytest
 import rasterio
 from rio_cogeo import cog_validate
 
+from tests.invariants import clouds
+from tests.invariants.clouds import Cloud
 from tests.invariants.runs import computed, do
-from tiler.core.products import PRODUCTS
+from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, PRODUCTS
 
 ALL = ",".join(PRODUCTS)
 RESOLUTION = "0.3"  # four blocks
@@ -53,10 +55,12 @@ def test_each_is_a_cog_on_the_grid_of_the_dtm(name: str, made: Path) -> None:
         assert raster.tags()["TILER_METHOD"] == "classic"
 
 
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_other_tiles_and_workers_give_the_same_bytes(
-    made: Path, quarter_files: list[Path], tmp_path: Path
+    workers: int, made: Path, quarter_files: list[Path], tmp_path: Path
 ) -> None:
-    do(quarter_files[::-1], tmp_path / "out", products=ALL, resolution=RESOLUTION, tile_size="96", workers=2)
+    changes = {"products": ALL, "resolution": RESOLUTION, "tile_size": "96", "workers": workers}
+    do(quarter_files[::-1], tmp_path / "out", **changes)
     assert digests(tmp_path / "out") == digests(made)
     assert len(digests(made)) == len(PRODUCTS)
 
@@ -83,3 +87,37 @@ def test_slope_and_shade_are_where_the_terrain_is(made: Path) -> None:
     terrain = ~np.isnan(values(made, "dtm"))
     for name in ("slope", "hillshade"):
         assert np.array_equal(~np.isnan(values(made, name)), terrain)
+
+
+def test_the_mask_says_where_heights_come_from(made: Path) -> None:
+    mask, terrain = values(made, "mask"), ~np.isnan(values(made, "dtm"))
+    assert np.array_equal(np.isin(mask, (MEASURED, INTERPOLATED)), terrain)
+    assert np.array_equal(mask == MEASURED, terrain & (values(made, "density") > 0))
+    with rasterio.open(made / "mask.tif") as raster:
+        assert raster.colormap(1)[HOLE][:3] == PRODUCTS["mask"].colours[HOLE]
+        assert raster.tags(1)[f"VALUE_{HOLE}"].startswith("hole")
+
+
+def test_holes_are_left_filled_or_marked(tmp_path: Path, city: Cloud) -> None:
+    cloud = clouds.write(tmp_path / "void.laz", clouds.void(city))
+    for voids in ("leave", "fill", "mark"):
+        do(
+            cloud,
+            tmp_path / voids,
+            voids=voids,
+            max_edge="20",
+            products="dtm,slope",
+            method="keep",
+            ground_classes="1",
+        )
+    left, filled = values(tmp_path / "leave", "dtm"), values(tmp_path / "fill", "dtm")
+    assert {f.stem for f in (tmp_path / "mark").glob("*.tif")} == {"dtm", "slope", "mask"}
+    assert np.array_equal(filled, values(tmp_path / "mark", "dtm"), equal_nan=True)
+    mask = values(tmp_path / "mark", "mask")
+    lake = np.zeros(left.shape, bool)
+    lake[60:110, 60:110] = True
+    assert np.isnan(left[lake]).all()
+    assert not np.isnan(filled[lake]).any()
+    assert (mask[lake] == FILLED).all()
+    assert np.array_equal(left[~np.isnan(left)], filled[~np.isnan(left)])
+    assert not np.isnan(values(tmp_path / "fill", "slope")[lake]).any()

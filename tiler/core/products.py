@@ -8,6 +8,17 @@ from dataclasses import dataclass, field
 NODATA = -9999.0
 """Of every raster of float32 that has pixels without a value."""
 
+OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE = range(5)
+"""Values of the mask."""
+
+MASK_VALUES = {
+    OUTSIDE: "outside the survey",
+    MEASURED: "measured: a ground point lies in the pixel",
+    INTERPOLATED: "interpolated within the limit",
+    FILLED: "filled beyond the limit",
+    HOLE: "hole: no height inside the survey",
+}
+
 HEIGHT = "height"
 """In place of a unit: the vertical unit of the CRS."""
 
@@ -54,5 +65,10 @@ PRODUCTS: dict[str, Product] = {
     "slope": Product("slope", "degree"),
     "density": Product("ground points per square metre", "1/m2", nodata=None),
     "distance": Product("distance to the nearest ground point", "metre", nodata=None),
+    "mask": Product(
+        "where the terrain height comes from", "", "uint8", OUTSIDE, "NEAREST", "NO",
+        {OUTSIDE: (255, 255, 255), MEASURED: (90, 150, 90), INTERPOLATED: (190, 210, 150), FILLED: (230, 150, 60),
+         HOLE: (150, 30, 50)}, MASK_VALUES,
+    ),
 }  # fmt: skip
 """In the order in which they are made."""

@@ -4,14 +4,22 @@ from tiler.grid.block import full_halo, grid_block
 from tiler.grid.density import density_block
 from tiler.grid.derived import derive_block
 from tiler.grid.distance import distance_block
+from tiler.grid.mask import mask_block
 from tiler.grid.surface import reach_pixels, surface_block
+from tiler.grid.survey import occupancy_block, survey_raster
+from tiler.grid.voids import fill_block, find_voids
 
 __all__ = [
     "density_block",
     "derive_block",
     "distance_block",
+    "fill_block",
+    "find_voids",
     "full_halo",
     "grid_block",
+    "mask_block",
+    "occupancy_block",
     "reach_pixels",
     "surface_block",
+    "survey_raster",
 ]

@@ -1,0 +1,81 @@
+"""What is inside of the survey: rotated and ragged outlines, islands, strips; holes are not outside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from tiler.grid.survey import survey_of
+
+SIDE = 160
+ROW, COL = np.mgrid[:SIDE, :SIDE]
+
+
+def turned(angle_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates along and across a line through the middle."""
+    a = np.radians(angle_deg)
+    x, y = COL - SIDE / 2, SIDE / 2 - ROW
+    return x * np.cos(a) + y * np.sin(a), y * np.cos(a) - x * np.sin(a)
+
+
+def rectangle(angle_deg: float, long: float, wide: float) -> np.ndarray:
+    along, across = turned(angle_deg)
+    return (np.abs(along) < long / 2) & (np.abs(across) < wide / 2)
+
+
+def islands() -> np.ndarray:
+    found = np.zeros((SIDE, SIDE), bool)
+    for row, col, radius in ((30, 30, 20), (40, 120, 25), (125, 70, 22)):
+        found |= (ROW - row) ** 2 + (COL - col) ** 2 < radius**2
+    return found
+
+
+OUTLINES = {
+    "box": np.ones((SIDE, SIDE), bool),
+    "rotated": rectangle(31, 130, 70),
+    "strip": rectangle(45, 400, 45),
+    "islands": islands(),
+    "notch": rectangle(0, 140, 140) & ~((COL > 70) & (ROW < 90)),
+}
+
+
+@pytest.mark.parametrize("bridge", [4, 16])
+@pytest.mark.parametrize("name", OUTLINES)
+def test_the_outline_is_found_whatever_lies_inside(name: str, bridge: int) -> None:
+    outline = OUTLINES[name]
+    row, col = {"islands": (40, 120), "notch": (120, 80)}.get(name, (80, 80))
+    lake = (ROW - row) ** 2 + (COL - col) ** 2 < 13**2
+    ragged = outline & (
+        np.random.default_rng(4).random(outline.shape) < 0.7
+    )  # every third cell without a point
+    inside = survey_of(ragged & ~lake, bridge)
+    deep = ndimage.binary_erosion(outline, iterations=4)
+    assert inside[deep].all()  # the lake as well
+    # Beyond the outline only what a gap of that width bridges.
+    beyond = ndimage.distance_transform_edt(~outline)
+    assert not inside[beyond > bridge / 2].any()
+    if name != "box":
+        assert inside.sum() < 0.8 * inside.size
+
+
+def test_a_strip_fills_a_third_of_its_box() -> None:
+    assert 0.3 < survey_of(OUTLINES["strip"], 16).mean() < 0.37
+
+
+def test_a_river_to_the_border_is_inside_if_the_terrain_bridges_it() -> None:
+    river = np.abs(ROW - 80) < 5
+    assert survey_of(~river, 12)[5:-5, 5:-5].all()
+    assert not survey_of(~river, 6)[80].any()
+
+
+def test_the_cells_of_the_outline_are_not_inside() -> None:
+    inside = survey_of(OUTLINES["rotated"], 8)
+    assert not (inside & ~ndimage.binary_erosion(OUTLINES["rotated"])).any()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 5), (40, 1)])
+def test_small_and_empty_rasters(shape: tuple[int, int]) -> None:
+    for value in (True, False):
+        assert survey_of(np.full(shape, value), 16.0).shape == shape
+    assert not survey_of(np.zeros(shape, bool), 16.0).any()

@@ -1,0 +1,148 @@
+"""Holes of the survey, filled beyond the limit: from the TIN of each hole's own rim.
+
+No halo bounds the facets over a hole, so holes are found in the whole run, by coarse cells, and each is filled from all
+pixels with a height that touch it, whichever blocks they lie in. The triangulation is unique, so blocks do not show.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from ptd.tin import Tin, rasterise
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.grid.block import heights_in_units, pixels_of
+from tiler.grid.checksum import checksum
+from tiler.grid.survey import CHUNK, coarse_cells, coarse_values, covered
+from tiler.store import TileStore, open_store
+
+Int32 = npt.NDArray[np.int32]
+
+PIECE = 512
+"""Pixels a side that are looked at at a time."""
+
+AROUND = np.ones((3, 3), np.bool_)
+
+
+def find_voids(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Number the holes of a raster of heights; a `tiler.schedule.task.Work`.
+
+    Coarse cells that hold a pixel without a height inside of the survey; those that touch belong to one hole. Writes
+    the raster ``name`` of the cells: number of the hole, 0 for none.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``name``; ``heights``: raster of heights, ``spec``: its `RasterSpec` as JSON; ``survey``, ``coarse``: raster of
+        the survey, and its `RasterSpec` as JSON.
+
+    Returns
+    -------
+    dict
+        ``voids``: row, column, height and width of each hole in cells, from number 1 on; ``checksum``.
+    """
+    store, spec = open_store(store_url), RasterSpec.from_json(args["spec"])
+    coarse = RasterSpec.from_json(args["coarse"])
+    empty = np.zeros((coarse.height, coarse.width), np.bool_)
+    for block in spec.blocks(PIECE):
+        rows, cols = np.nonzero(_void(store, args, coarse, spec, block))
+        if len(rows):
+            cell_rows, cell_cols = coarse_cells(coarse, spec, block)
+            empty[cell_rows[rows], cell_cols[cols]] = True
+    numbers, _ = ndimage.label(empty, AROUND)
+    values = numbers.astype(np.float32)
+    for b in coarse.blocks(CHUNK):
+        store.write_block(args["name"], b, values[b.row : b.row + b.height, b.col : b.col + b.width])
+    boxes = [[r.start, c.start, r.stop - r.start, c.stop - c.start] for r, c in ndimage.find_objects(numbers)]
+    return {"voids": boxes, "checksum": checksum(values)}
+
+
+def fill_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write one block of the heights with holes filled; a `tiler.schedule.task.Work`.
+
+    Linear on the TIN of the centres of all pixels around a hole, their heights rounded to counts. What no facet covers,
+    where a hole is open to one side, stays without.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        As those of `find_voids`, and ``block``; ``numbers``: raster of the holes' numbers; ``voids``: number, row,
+        column, height and width in cells of each hole that may touch the block.
+
+    Returns
+    -------
+    dict
+        ``pixels``, ``filled`` (pixels with a height), ``added``; ``checksum``.
+    """
+    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
+    coarse = RasterSpec.from_json(args["coarse"])
+    heights = store.read_block(args["heights"], block)
+    empty = _void(store, args, coarse, spec, block)
+    before = int(np.count_nonzero(heights != np.float32(NODATA)))
+    numbers = coarse_values(store, args["numbers"], coarse, spec, block)
+    for number, *cells in args["voids"]:
+        inside = empty & (numbers == number)
+        if inside.any():
+            rim = _rim(store, args, coarse, spec, number, covered(coarse, spec, Block(*cells)))
+            raster = rasterise(Tin.build(*rim), pixels_of(spec, block, store.meta.frame.origin))
+            heights = np.where(inside, heights_in_units(raster), heights)
+    store.write_block(args["name"], block, heights)
+    after = int(np.count_nonzero(heights != np.float32(NODATA)))
+    return {"pixels": heights.size, "filled": after, "added": after - before, "checksum": checksum(heights)}
+
+
+def _void(
+    store: TileStore, args: dict[str, Any], coarse: RasterSpec, spec: RasterSpec, block: Block
+) -> npt.NDArray[np.bool_]:
+    """Pixels without a height inside of the survey."""
+    empty: npt.NDArray[np.bool_] = store.read_block(args["heights"], block) == np.float32(NODATA)
+    if empty.any():
+        empty &= coarse_values(store, args["survey"], coarse, spec, block) > 0
+    return empty
+
+
+def _rim(
+    store: TileStore, args: dict[str, Any], coarse: RasterSpec, spec: RasterSpec, number: int, region: Block
+) -> tuple[Int32, Int32, Int32]:
+    """Local counts x, y, z of the centres of the pixels with a height that touch a hole, piece by piece."""
+    found: list[npt.NDArray[np.int64]] = [np.empty((3, 0), np.int64)]
+    row0, col0 = max(region.row - 1, 0), max(region.col - 1, 0)
+    row1 = min(region.row + region.height + 1, spec.height)
+    col1 = min(region.col + region.width + 1, spec.width)
+    for row in range(row0, row1, PIECE):
+        for col in range(col0, col1, PIECE):
+            core = Block(row, col, min(PIECE, row1 - row), min(PIECE, col1 - col))
+            found.append(_rim_of_piece(store, args, coarse, spec, number, core))
+    x, y, z = np.concatenate(found, axis=1)
+    east, north = store.meta.frame.origin
+    return (x - east).astype(np.int32), (y - north).astype(np.int32), z.astype(np.int32)
+
+
+def _rim_of_piece(
+    store: TileStore, args: dict[str, Any], coarse: RasterSpec, spec: RasterSpec, number: int, core: Block
+) -> npt.NDArray[np.int64]:
+    """Absolute counts (3, n) of the rim's pixels in ``core``; its neighbours' empty pixels count as well."""
+    top, left = max(core.row - 1, 0), max(core.col - 1, 0)
+    bottom, right = min(core.row + core.height + 1, spec.height), min(core.col + core.width + 1, spec.width)
+    wide = Block(top, left, bottom - top, right - left)
+    mine = coarse_values(store, args["numbers"], coarse, spec, wide) == number
+    if not mine.any():
+        return np.empty((3, 0), np.int64)
+    heights = store.read_block(args["heights"], wide)
+    void = mine & _void(store, args, coarse, spec, wide)
+    rim = ndimage.binary_dilation(void, AROUND) & (heights != np.float32(NODATA))
+    rows, cols = np.nonzero(rim)
+    rows, cols = rows + wide.row, cols + wide.col
+    inside = (rows >= core.row) & (rows < core.row + core.height)
+    inside &= (cols >= core.col) & (cols < core.col + core.width)
+    rows, cols = rows[inside], cols[inside]
+    p, q = spec.lattice.p, 2 * spec.lattice.q
+    x, y = ((2 * (spec.west + cols) + 1) * p) // q, ((2 * (spec.north - 1 - rows) + 1) * p) // q
+    z = np.rint(heights[rows - wide.row, cols - wide.col].astype(np.float64) * COUNTS_PER_UNIT)
+    return np.stack((x, y, z.astype(np.int64)))
