@@ -46,9 +46,9 @@ def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | No
     -------
     dict
         ``unit`` (of the heights); ``pixels``; ``only_dtm``, ``only_truth`` (valid pixels of the truth's extent that
-        the other lacks);
-        ``coverage`` (share of the truth's valid pixels that the DTM has); in units of the heights what
-        `tiler.core.spread.spread` says, medians and percentiles to ``quantile_step``; None without a common pixel.
+        the other lacks); ``coverage`` (share of the truth's valid pixels that the DTM has); in units of the heights
+        what `tiler.core.spread.spread` says, medians and percentiles to ``quantile_step``; None without a common
+        pixel.
 
     Raises
     ------

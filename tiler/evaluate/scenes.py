@@ -64,22 +64,28 @@ def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) 
         Nothing is there, or a reference has no cloud, or several.
     """
     mine, true = _expanded(clouds), _expanded(references)
-    if len(mine) == 1:
-        return _named([(mine[0][0], path) for path, _ in true])
     one_by_one = len(mine) == len(clouds) and len(true) == len(references)
-    if one_by_one and len(mine) == len(true):
-        return _named([(a[0], b[0]) for a, b in zip(mine, true, strict=True)])
-    pairs = []
-    for path, place in true:
-        same_name = [m for m in mine if m[0].stem == path.stem]
-        found = [m for m in same_name if m[1] == place] if len(same_name) > 1 else same_name
-        if len(found) != 1:
-            raise ConfigError(
-                f"{path}: {len(found) or 'none'} of the {len(mine)} clouds {'is' if not found else 'are'} named "
-                f"{path.stem}; name clouds and references alike, or in the same order"
-            )
-        pairs.append((found[0][0], path))
-    return _named(pairs)
+    if len(mine) == 1:
+        partners = [mine[0][0]] * len(true)
+    elif one_by_one and len(mine) == len(true):
+        partners = [path for path, _ in mine]
+    else:
+        partners = [_partner(mine, path, place) for path, place in true]
+    names = _names(true)
+    return [Scene(name, cloud, path) for name, cloud, (path, _) in zip(names, partners, true, strict=True)]
+
+
+def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) -> Path:
+    """The one cloud that is named as a reference is; raises ConfigError."""
+    found = [cloud for cloud in clouds if cloud[0].stem == reference.stem]
+    if len(found) > 1:
+        found = [cloud for cloud in found if cloud[1] == place]
+    if len(found) != 1:
+        raise ConfigError(
+            f"{reference}: {len(found) or 'none'} of the {len(clouds)} clouds {'are' if found else 'is'} named "
+            f"{reference.stem}; name clouds and references alike, or in the same order"
+        )
+    return found[0][0]
 
 
 def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
@@ -94,14 +100,15 @@ def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
     return list(found.items())
 
 
-def _named(pairs: list[tuple[Path, Path]]) -> list[Scene]:
-    """Scenes called by the reference's name, with more of its path where that is not unique."""
-    stems = [reference.stem for _, reference in pairs]
-    return [
-        Scene(stem if stems.count(stem) == 1 else reference.with_suffix("").as_posix().replace("/", "_").strip("_"),
-              cloud, reference)
-        for stem, (cloud, reference) in zip(stems, pairs, strict=True)
-    ]  # fmt: skip
+def _names(references: Sequence[tuple[Path, str]]) -> list[str]:
+    """The references' names, with their folders where those are not unique, else with a number; they name maps."""
+    for names in (
+        [path.stem for path, _ in references],
+        [place.replace("/", "_") for _, place in references],
+    ):
+        if len(set(names)) == len(names):
+            return names
+    return [f"{path.stem}-{number}" for number, (path, _) in enumerate(references, start=1)]
 
 
 def evaluate_scenes(

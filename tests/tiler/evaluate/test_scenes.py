@@ -41,12 +41,14 @@ def pairs(scenes: list[Scene]) -> list[tuple[str, str]]:
 def test_folders_are_paired_by_place(folders: tuple[Path, Path]) -> None:
     scenes = find_scenes([folders[0]], [folders[1]])
     assert pairs(scenes) == [("xa", "xa"), ("ya", "ya")]
-    assert len({s.name for s in scenes}) == 2
+    assert [s.name for s in scenes] == ["x_a", "y_a"]
 
 
 def test_files_are_paired_by_order(folders: tuple[Path, Path]) -> None:
     mine, true = ([f / n / "a.laz" for n in ("x", "y")] for f in folders)
-    assert pairs(find_scenes(mine, true[::-1])) == [("xa", "ya"), ("ya", "xa")]
+    scenes = find_scenes(mine, true[::-1])
+    assert pairs(scenes) == [("xa", "ya"), ("ya", "xa")]
+    assert [s.name for s in scenes] == ["a-1", "a-2"]
 
 
 def test_one_cloud_has_all_references(folders: tuple[Path, Path]) -> None:
