@@ -267,3 +267,27 @@ def test_facts_are_aligned_and_nested() -> None:
 @pytest.mark.parametrize(("size", "text"), [(10, "10 bytes"), (1536, "1.5 KiB"), (3 << 30, "3.0 GiB")])
 def test_sizes(size: int, text: str) -> None:
     assert size_text(size) == text
+
+
+def test_simulate_writes_a_scene_and_says_what_it_holds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "a.laz"
+    arguments = ["--scene", "hills", "--size", "6000cm", "--density", "0.5", "--seed", "2", "--sigma", "1cm"]
+    assert main(["simulate", str(out), *arguments, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["side_m"] == 60.0
+    assert facts["classes"]["2 ground"] > 1000
+    assert out.is_file()
+    assert Path(facts["dtm"]) == tmp_path / "a_dtm.tif"
+    assert main(["simulate", str(out), *arguments, "-q"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_simulate_lists_its_scenes_and_refuses_others(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "--list"]) == 0
+    shown = capsys.readouterr().out
+    assert "  quarry " in shown
+    assert "  dim_park " in shown
+    assert main(["simulate", "a.laz", "--scene", "moon"]) == 2
+    assert "unknown scene 'moon'" in capsys.readouterr().err

@@ -2,15 +2,16 @@
 
 ``terrain`` (a height by formula), ``objects`` (solids, crowns, plants, wires) and ``plot`` (a block of land to put them
 on) make a `Site`; ``sites`` has the kinds of places by name, ``catalogue`` the committed scenes. ``als`` shoots
-pulses at a site, ``dim`` matches images of it, both patch by patch; ``cloud`` writes files, ``demo`` those of the
-demo. Random numbers come from a hash of the seed and the patch's or block's index, so nothing depends on an order.
-Knows nothing of filters, stores or runs.
+pulses at a site, ``dim`` matches images of it, both patch by patch; ``cloud`` and ``files`` write them, ``demo`` those
+of the demo. Random numbers come from a hash of the seed and the patch's or block's index, so nothing depends on an
+order. Knows nothing of filters, stores or runs.
 """
 
 from tiler.simulate.als import AlsSensor
 from tiler.simulate.catalogue import SCENES, Scene, SceneSpec, make_scene
 from tiler.simulate.demo import DemoScene, demo_city
 from tiler.simulate.dim import DimSensor
+from tiler.simulate.files import describe_scene, write_scene
 from tiler.simulate.points import Points, survey
 from tiler.simulate.site import Site
 from tiler.simulate.sites import SITES, make_site, scene_points
@@ -18,5 +19,5 @@ from tiler.simulate.terrain import Terrain
 
 __all__ = [
     "SCENES", "SITES", "AlsSensor", "DemoScene", "DimSensor", "Points", "Scene", "SceneSpec", "Site", "Terrain",
-    "demo_city", "make_scene", "make_site", "scene_points", "survey",
+    "demo_city", "describe_scene", "make_scene", "make_site", "scene_points", "survey", "write_scene",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,9 @@ FORWARD_TILT = 0.02
 
 LINE_STEP = 1.25
 """Distance of the scan lines over that of the pulses along them; their product keeps the density."""
+
+SETTLED_M = 1e-5
+"""Nearer to the terrain a hit need not be."""
 
 REACH_M = 160.0
 """Surfaces lie within this height of `Terrain.base`; it bounds how far pulses lean into the site."""
@@ -54,6 +58,8 @@ class AlsSensor:
         Blunders: single points 2-15 m under ground, groups of 3 to 7 points 2-6 m under ground, single
         points 20-200 m above.
     """
+
+    BLUNDERS: ClassVar = ("low_singles_km2", "low_groups_km2", "high_km2")
 
     density: float = 4.0
     sigma_m: float = 0.025
@@ -99,8 +105,8 @@ class _Hits:
     ) -> None:
         self.ray.append(ray)
         self.z.append(z)
-        self.label.append(np.broadcast_to(np.uint8(label), ray.shape))
-        self.last.append(np.broadcast_to(np.bool_(last), ray.shape))
+        self.label.append(label if isinstance(label, np.ndarray) else np.full(len(ray), label, np.uint8))
+        self.last.append(last if isinstance(last, np.ndarray) else np.full(len(ray), last, np.bool_))
 
 
 def _pulses(
@@ -131,15 +137,14 @@ def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
 
     A fixed point where rays are steeper than the slopes by far; what does not settle (cliffs) is bisected.
     """
-    z = np.full(len(rays), terrain.base)
-    moved = np.full(len(rays), np.inf)
-    for _ in range(12):
-        before = z
-        z = terrain.height_at(*rays.at(z))
-        moved = np.abs(z - before)
-        if float(moved.max(initial=0.0)) < 1e-5:
+    z = terrain.height_at(*rays.at(np.full(len(rays), terrain.base)))
+    rest = np.arange(len(rays))
+    for _ in range(11):
+        before = z[rest]
+        z[rest] = terrain.height_at(*rays.at(before, rest))
+        rest = rest[np.abs(z[rest] - before) > SETTLED_M]
+        if not len(rest):
             return z
-    rest = np.flatnonzero(moved >= 1e-5)
     low = np.full(len(rest), terrain.base - 2 * REACH_M)
     high = np.full(len(rest), terrain.base + 2 * REACH_M)
     for _ in range(50):

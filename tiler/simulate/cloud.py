@@ -32,10 +32,10 @@ class CloudWriter:
     ----------
     path : Path
         Replaced if it is there.
-    colour : bool
+    colour, compressed : bool
     """
 
-    def __init__(self, path: Path, colour: bool = False) -> None:
+    def __init__(self, path: Path, colour: bool = False, compressed: bool = True) -> None:
         header = laspy.LasHeader(point_format=7 if colour else 6, version="1.4")
         header.scales, header.offsets = np.full(3, 0.001), np.array([*ORIGIN, 0.0])
         header.creation_date = datetime.date(2020, 1, 1)
@@ -44,7 +44,7 @@ class CloudWriter:
         self.points = 0
         self._pulses = 0
         self._header = header
-        self._file: Any = laspy.open(path, "w", header=header, do_compress=True)
+        self._file: Any = laspy.open(path, "w", header=header, do_compress=compressed)
 
     def __enter__(self) -> CloudWriter:
         return self

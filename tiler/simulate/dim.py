@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +58,8 @@ class DimSensor:
     high_blunders : float
         Share of points in the air.
     """
+
+    BLUNDERS: ClassVar = ("blunders", "high_blunders")
 
     density: float = 40.0
     sigma_m: float = 0.066

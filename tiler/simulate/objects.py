@@ -5,6 +5,7 @@ A ray is a line that comes from above, written by its height z: ``x = ax + lx * 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -102,14 +103,19 @@ class Solid:
 
     def distance(self, x: float, y: float) -> float:
         """Metres from a position to the footprint, 0 inside."""
-        along, across = Line(self.x, self.y, self.angle_deg).along_across(np.asarray(x), np.asarray(y))
-        beyond_u, beyond_v = np.abs(along) - self.length / 2, np.abs(across) - self.width / 2
-        return float(np.hypot(np.maximum(beyond_u, 0.0), np.maximum(beyond_v, 0.0)))
+        east, north, turn = x - self.x, y - self.y, math.radians(self.angle_deg)
+        along, across = (
+            east * math.cos(turn) + north * math.sin(turn),
+            north * math.cos(turn) - east * math.sin(turn),
+        )
+        return math.hypot(max(abs(along) - self.length / 2, 0.0), max(abs(across) - self.width / 2, 0.0))
 
     def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
         """Which rays meet the body (indices), and at which height they enter it (metres)."""
         height = self.top - self.base + abs(self.tilt) * self.length / 2
         index = rays.near(self.x, self.y, self.top, self.radius + height * rays.steepest + 0.01)
+        if not len(index):
+            return index, np.empty(0)
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         ax, ay = rays.ax[index] - self.x, rays.ay[index] - self.y
         lx, ly = rays.lx[index], rays.ly[index]

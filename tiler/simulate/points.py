@@ -8,7 +8,16 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from tiler.simulate.objects import HIGH_VEGETATION, LOW_VEGETATION, MEDIUM_VEGETATION
+from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, UNCLASSIFIED, WATER
+from tiler.simulate.objects import (
+    BRIDGE,
+    BUILDING,
+    HIGH_VEGETATION,
+    LOW_VEGETATION,
+    MEDIUM_VEGETATION,
+    TOWER,
+    WIRE,
+)
 from tiler.simulate.site import Site
 
 UInt8s = npt.NDArray[np.uint8]
@@ -16,6 +25,14 @@ UInt16s = npt.NDArray[np.uint16]
 Floats = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 in metres, half-open."""
+
+CLASS_NAMES = {
+    UNCLASSIFIED: "cars, garden walls", GROUND: "ground", LOW_VEGETATION: "plants below 1 m",
+    MEDIUM_VEGETATION: "plants below 3 m", HIGH_VEGETATION: "higher plants", BUILDING: "buildings, facades",
+    LOW_NOISE: "blunders below the ground", WATER: "water", WIRE: "wires", TOWER: "towers of wires",
+    BRIDGE: "bridges", HIGH_NOISE: "blunders in the air",
+}  # fmt: skip
+"""What has which ASPRS class."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +43,7 @@ class Points:
     ----------
     xyz : float64, shape (n, 3), metres
     label : uint8, shape (n,)
-        ASPRS classes: 1 cars and garden walls, 2 ground, 3/4/5 plants below 1 m, below 3 m and higher, 6 buildings,
-        7 low noise, 9 water, 14 wires, 15 their towers, 17 bridge decks, 18 high noise.
+        ASPRS classes: those of `CLASS_NAMES`.
     number, count : uint8, shape (n,)
         Return number, and returns of the pulse.
     angle_deg : float64, shape (n,)
@@ -96,10 +112,14 @@ def vegetation_label(label: UInt8s, above_ground_m: Floats) -> UInt8s:
     return np.where(label == LOW_VEGETATION, by_height, label).astype(np.uint8)
 
 
-def patches(sensor: Sensor, side_m: float) -> list[tuple[int, int]]:
-    """Indices (ix, iy) of the patches that together hold all points of a site, row by row from the south-west."""
-    low = int(np.floor(-sensor.reach_m / sensor.patch_m))
-    high = int(np.ceil((side_m + sensor.reach_m) / sensor.patch_m))
+def patches(sensor: Sensor, side_m: float, rim: bool = True) -> list[tuple[int, int]]:
+    """Indices (ix, iy) of the patches that together hold all points of a site, row by row from the south-west.
+
+    Without ``rim`` those are left out that lie outside of the site: its outermost metres may become thinner.
+    """
+    reach = sensor.reach_m if rim else 0.0
+    low = int(np.floor(-reach / sensor.patch_m))
+    high = int(np.ceil((side_m + reach) / sensor.patch_m))
     return [(ix, iy) for iy in range(low, high) for ix in range(low, high)]
 
 

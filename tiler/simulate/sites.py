@@ -44,12 +44,18 @@ def _rng(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(seed))
 
 
+def _tilt(east: float, north: float, side_m: float) -> tuple[float, float]:
+    """A slope, gentler on sites of more than 400 m: the whole must stay within reach of one flying height."""
+    share = min(1.0, 400.0 / side_m)
+    return east * share, north * share
+
+
 def city(seed: int, side_m: float) -> Site:
-    """Blocks of 50 m on gentle hills; a dam across with a road under it, a river bank, a power line."""
+    """Blocks of 50 m on gentle hills; a dam across, a river bank, a power line."""
     rng = _rng(seed)
     dam = Embankment(side_m / 2, side_m * 0.78, 12.0, height=5.0, crest_width=6.0, slope_width=9.0)
     bank = Bank(side_m * 0.86, drop=6.0, width=4.0, swing=side_m * 0.04, period=side_m * 0.9)
-    terrain = Terrain(120.0, (0.01, -0.006), (Waves.random(rng, 9.0, 380.0), dam, bank))
+    terrain = Terrain(120.0, _tilt(0.01, -0.006, side_m), (Waves.random(rng, 9.0, 380.0), dam, bank))
     line = power_line(terrain, Line(0.0, side_m * 0.93, 2.0), side_m)
     return Site(terrain, side_m, seed, city_block, 50.0, line, street_m=5.0, green=0.55)
 
@@ -59,7 +65,7 @@ def suburb(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     cutting = Embankment(side_m * 0.5, side_m * 0.3, 5.0, height=-5.0, crest_width=9.0, slope_width=7.0)
     pond = Basin(side_m * 0.78, side_m * 0.75, 18.0, 2.0, 4.0, water=True)
-    terrain = Terrain(210.0, (0.02, 0.03), (Waves.random(rng, 10.0, 260.0), cutting, pond))
+    terrain = Terrain(210.0, _tilt(0.02, 0.03, side_m), (Waves.random(rng, 10.0, 260.0), cutting, pond))
     deck = bridge(terrain, Line(side_m * 0.46, side_m * 0.297, 95.0), 26.0, 8.0)
     return Site(terrain, side_m, seed, suburb_block, 36.0, deck, street_m=3.0, green=0.8)
 
@@ -69,17 +75,19 @@ def forest(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     hills = [
         Hill(rng.uniform(0, side_m), rng.uniform(0, side_m), rng.uniform(8, 30), rng.uniform(25, 60))
-        for _ in range(max(3, int(6 * (side_m / 200) ** 2)))
+        for _ in range(min(max(3, int(6 * (side_m / 200) ** 2)), 40))
     ]
     stream = River(Line(side_m * 0.35, 0.0, 80.0), 1.5, 4.0, 9.0, swing=12.0, period=120.0)
     terrain = Terrain(
-        400.0, (0.15, 0.1), (*hills, Waves.random(rng, 6.0, 50.0), Waves.random(rng, 0.5, 8.0), stream)
+        400.0,
+        _tilt(0.15, 0.1, side_m),
+        (*hills, Waves.random(rng, 6.0, 50.0), Waves.random(rng, 0.5, 8.0), stream),
     )
     return Site(terrain, side_m, seed, forest_block, 25.0, green=0.3)
 
 
 def mountain(seed: int, side_m: float) -> Site:
-    """Sharp ridges of 35-45 degrees beside a valley with a settlement, as in the paper of `ridge2016`."""
+    """Sharp ridges of 35-45 degrees beside a valley with a settlement, as `ridge2016` is made for."""
     rng = _rng(seed)
     ridges = [
         Ridge(Line(side_m * 0.8, side_m * 0.55, 85.0), 75.0, 82.0, side_m * 1.2),
@@ -87,7 +95,7 @@ def mountain(seed: int, side_m: float) -> Site:
         Ridge(Line(side_m * 0.72, side_m * 0.25, -20.0), 30.0, 40.0, side_m * 0.5),
     ]
     rough = (Waves.random(rng, 3.0, 70.0), Waves.random(rng, 0.8, 12.0))
-    terrain = Terrain(800.0, (0.05, 0.02), (*ridges, *rough))
+    terrain = Terrain(800.0, _tilt(0.05, 0.02, side_m), (*ridges, *rough))
     line = power_line(terrain, Line(0.0, side_m * 0.45, 8.0), side_m)
     return Site(terrain, side_m, seed, mountain_block, 36.0, line, street_m=2.0, green=0.5)
 
@@ -95,10 +103,10 @@ def mountain(seed: int, side_m: float) -> Site:
 def terraces(seed: int, side_m: float) -> Site:
     """Vineyard terraces with steep faces below a cliff, a retaining wall by the road."""
     rng = _rng(seed)
-    steps = Terraces(Line(0.0, side_m * 0.15, 6.0), max(2, int(side_m * 0.45 / 13)), 13.0, 2.4, 0.9)
+    steps = Terraces(Line(0.0, side_m * 0.15, 6.0), min(max(2, int(side_m * 0.45 / 13)), 12), 13.0, 2.4, 0.9)
     cliff = Cliff(Line(0.0, side_m * 0.72, -4.0), 28.0, 9.0, swing=7.0, period=90.0)
     wall = Cliff(Line(side_m * 0.5, side_m * 0.09, 6.0), 3.0, 0.3)
-    terrain = Terrain(300.0, (0.03, 0.08), (steps, cliff, wall, Waves.random(rng, 3.0, 90.0)))
+    terrain = Terrain(300.0, _tilt(0.03, 0.08, side_m), (steps, cliff, wall, Waves.random(rng, 3.0, 90.0)))
     return Site(terrain, side_m, seed, terrace_block, 40.0, green=0.5)
 
 
@@ -111,7 +119,7 @@ def quarry(seed: int, side_m: float) -> Site:
     dam = Embankment(side_m * 0.5, side_m * 0.85, -6.0, height=7.0, crest_width=5.0, slope_width=10.0)
     terrain = Terrain(
         150.0,
-        (-0.02, 0.03),
+        _tilt(-0.02, 0.03, side_m),
         (Waves.random(rng, 4.0, 140.0), Waves.random(rng, 0.6, 9.0), pit, pool, heap, dam),
     )
     return Site(terrain, side_m, seed, works_block, 40.0, street_m=2.0, green=0.3)
@@ -123,7 +131,7 @@ def river(seed: int, side_m: float) -> Site:
     course = Line(side_m * 0.5, 0.0, 84.0)
     stream = River(course, side_m * 0.14, 5.0, 9.0, swing=side_m * 0.05, period=side_m * 1.1)
     pond = Basin(side_m * 0.15, side_m * 0.8, side_m * 0.07, 2.5, 6.0, water=True)
-    terrain = Terrain(30.0, (0.0, 0.002), (Waves.random(rng, 1.2, 200.0), stream, pond))
+    terrain = Terrain(30.0, _tilt(0.0, 0.002, side_m), (Waves.random(rng, 1.2, 200.0), stream, pond))
     decks = Objects()
     for share in (0.3, 0.75):
         along = share * side_m
@@ -141,7 +149,7 @@ def halls(seed: int, side_m: float) -> Site:
     """Large halls, podiums and courtyards on nearly flat land with a ramp of a road."""
     rng = _rng(seed)
     ramp = Embankment(side_m * 0.98, side_m * 0.5, 90.0, height=4.0, crest_width=8.0, slope_width=6.0)
-    terrain = Terrain(60.0, (0.008, 0.004), (Waves.random(rng, 2.5, 300.0), ramp))
+    terrain = Terrain(60.0, _tilt(0.008, 0.004, side_m), (Waves.random(rng, 2.5, 300.0), ramp))
     return Site(terrain, side_m, seed, hall_block, 100.0, street_m=8.0, green=0.35)
 
 
@@ -149,7 +157,7 @@ def mixed(seed: int, side_m: float) -> Site:
     """Houses, fields and wood on hills with a road embankment."""
     rng = _rng(seed)
     dam = Embankment(side_m * 0.4, side_m * 0.5, 70.0, height=4.0, crest_width=8.0, slope_width=7.0)
-    terrain = Terrain(250.0, (0.03, -0.02), (Waves.random(rng, 22.0, 260.0), dam))
+    terrain = Terrain(250.0, _tilt(0.03, -0.02, side_m), (Waves.random(rng, 22.0, 260.0), dam))
     return Site(terrain, side_m, seed, mixed_block, 42.0, street_m=3.0, green=0.7)
 
 
@@ -159,7 +167,9 @@ def village(seed: int, side_m: float) -> Site:
     gully = River(Line(side_m * 0.7, 0.0, 70.0), 0.5, 5.0, 11.0, swing=6.0, period=70.0)
     steps = Terraces(Line(0.0, side_m * 0.2, 10.0), 3, 16.0, 1.8, 0.8)
     terrain = Terrain(
-        2300.0, (0.1, 0.22), (Waves.random(rng, 6.0, 90.0), Waves.random(rng, 0.4, 8.0), gully, steps)
+        2300.0,
+        _tilt(0.1, 0.22, side_m),
+        (Waves.random(rng, 6.0, 90.0), Waves.random(rng, 0.4, 8.0), gully, steps),
     )
     return Site(terrain, side_m, seed, suburb_block, 32.0, street_m=2.5, green=0.45)
 
@@ -168,13 +178,15 @@ def park(seed: int, side_m: float) -> Site:
     """Lawns, trees, meadows, hedges, a pond, some buildings."""
     rng = _rng(seed)
     pond = Basin(side_m * 0.3, side_m * 0.3, 11.0, 1.2, 3.0, water=True)
-    terrain = Terrain(40.0, (0.02, 0.01), (Waves.random(rng, 4.0, 90.0), Waves.random(rng, 0.3, 9.0), pond))
+    terrain = Terrain(
+        40.0, _tilt(0.02, 0.01, side_m), (Waves.random(rng, 4.0, 90.0), Waves.random(rng, 0.3, 9.0), pond)
+    )
     return Site(terrain, side_m, seed, park_block, 30.0, green=0.95)
 
 
 def plane(seed: int, side_m: float) -> Site:
     """A tilted plane, nothing on it."""
-    return Site(Terrain(100.0, (0.05, -0.03)), side_m, seed)
+    return Site(Terrain(100.0, _tilt(0.05, -0.03, side_m)), side_m, seed)
 
 
 def hills(seed: int, side_m: float) -> Site:

@@ -15,14 +15,14 @@ CLEAN = AlsSensor(overlap_m=0.0, sigma_m=0.0, low_singles_km2=0, low_groups_km2=
 
 
 def scan(objects: Objects, terrain: Terrain | None = None, sensor: AlsSensor = CLEAN) -> Points:
-    """60 x 60 m."""
-    return survey(Site(terrain or Terrain(100.0), 60.0, 9, landmarks=objects), sensor)
+    """60 x 60 m, all of it in one patch."""
+    return survey_patch(Site(terrain or Terrain(100.0), 60.0, 9, landmarks=objects), sensor, 0, 0)
 
 
 @pytest.mark.parametrize("kind", sorted(SITES))
 def test_ground_points_lie_on_the_terrain_and_objects_above_it(kind):
-    site = make_site(kind, 4, 120.0)
-    points = survey(site, CLEAN)
+    site = make_site(kind, 4, 100.0)
+    points = survey_patch(site, CLEAN, 0, 0)
     above = points.xyz[:, 2] - site.terrain.height_at(points.xyz[:, 0], points.xyz[:, 1])
     ground = points.label == 2
     assert ground.sum() > 1000
@@ -31,13 +31,13 @@ def test_ground_points_lie_on_the_terrain_and_objects_above_it(kind):
     assert np.abs(above[ground]).max() < 0.02
     assert above[~ground].min(initial=0.0) > -0.02
     assert set(np.unique(points.label)) <= {1, 2, 3, 4, 5, 6, 9, 14, 15, 17}
-    assert ((points.xyz[:, :2] >= 0) & (points.xyz[:, :2] < 120)).all()
+    assert ((points.xyz[:, :2] >= 0) & (points.xyz[:, :2] < 100)).all()
 
 
 def test_noise_has_the_sigma_of_the_sensor_and_blunders_their_labels():
     sensor = AlsSensor(sigma_m=0.05, low_singles_km2=5_000, low_groups_km2=2_000, high_km2=5_000)
     site = make_site("plane", 1, 100.0)
-    points = survey(site, sensor)
+    points = survey_patch(site, sensor, 0, 0)
     above = points.xyz[:, 2] - site.terrain.height_at(points.xyz[:, 0], points.xyz[:, 1])
     assert above[points.label == 2].std() == pytest.approx(0.05, rel=0.07)
     assert above[points.label == 7].max() < -1

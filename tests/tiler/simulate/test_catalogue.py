@@ -11,6 +11,12 @@ from tiler.errors import ConfigError
 from tiler.simulate import SCENES, SITES, make_scene, make_site
 from tiler.simulate.catalogue import SENSORS
 
+COUNTS = [233, 26993, 8133, 27734, 1882]
+"""Points of classes 1, 2, 3, 5 and 6 of ``als_sparse``."""
+
+MEANS = [146.516, 148.778, 257.595]
+"""Mean x, y, z of its points, metres."""
+
 
 def test_names_kinds_and_sites_belong_together():
     for name, spec in SCENES.items():
@@ -23,17 +29,17 @@ def test_names_kinds_and_sites_belong_together():
     assert len({(spec.site, spec.seed) for spec in SCENES.values()}) == len(SCENES)
 
 
-def test_a_laser_scene_has_its_truth_and_the_same_points_again():
-    scene = make_scene("als_suburb_sparse")
+def test_a_scene_has_its_truth_and_has_not_changed():
+    scene = make_scene("als_sparse")
     ground = scene.classification == 2
     off = scene.xyz[ground, 2] - scene.truth(scene.xyz[ground, 0], scene.xyz[ground, 1])
     assert off.std() == pytest.approx(0.03, rel=0.1)
     assert scene.rgb is None
     assert scene.returns.shape == (len(scene.xyz), 2)
     assert np.all(scene.returns[:, 0] <= scene.returns[:, 1])
-    again = make_scene("als_suburb_sparse")
-    assert again.xyz.tobytes() == scene.xyz.tobytes()
-    assert again.classification.tobytes() == scene.classification.tobytes()
+    # What methods were tuned on; another numpy may move a point by a millimetre, not more.
+    assert np.bincount(scene.classification)[[1, 2, 3, 5, 6]] == pytest.approx(COUNTS, rel=1e-3)
+    assert scene.xyz.mean(axis=0) == pytest.approx(MEANS, abs=0.02)
 
 
 def test_unknown_names_are_refused():

@@ -1,0 +1,80 @@
+"""``tiler simulate``."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+from cli.options import json_option
+from cli.output import print_facts, print_json, print_table
+from cli.session import TilerCommand, current_session
+
+
+def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    """Print what --scene takes, and end."""
+    if not wanted:
+        return
+    from tiler.simulate import SCENES, SITES
+
+    sites = [(name, (make.__doc__ or "").splitlines()[0]) for name, make in SITES.items()]
+    print_table("Kinds of places, of any size and seed", ("name", "what"), sites)
+    rows = [(s.name, s.kind, str(s.seed), f"{s.side_m:g}", s.summary) for s in SCENES.values()]
+    print_table(
+        "Scenes that methods are tuned and scored on", ("name", "kind", "seed", "size m", "what"), rows
+    )
+    context.exit()
+
+
+@click.command("simulate", cls=TilerCommand)
+@click.argument("out", metavar="OUT.laz", type=click.Path())
+@click.option("--kind", type=click.Choice(["als", "dim"]),
+              help="laser scanner or dense image matching [default: that of the scene, else als]")  # fmt: skip
+@click.option("--scene", default="city", metavar="NAME",
+              help="kind of place, or scene of the catalogue; --list shows them [default: city]")  # fmt: skip
+@click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_scenes,
+              help="show the scenes and end [default: no]")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), metavar="N",
+              help="the same seed and settings give the same bytes [default: that of the scene, else 1]")  # fmt: skip
+@click.option("--size", metavar="LENGTH",
+              help="side of the square [unit: m; default: that of the scene, else 500 (als) or 150 (dim)]")  # fmt: skip
+@click.option("--density", type=float, metavar="N",
+              help="pulses (als) or matches (dim) on open ground [unit: per m2; default: that of the scene, "
+                   "else 4 (als) or 40 (dim)]")  # fmt: skip
+@click.option("--sigma", metavar="LENGTH",
+              help="standard deviation of the heights [unit: m; default: that of the scene, else 0.025 (als) or "
+                   "0.066 (dim)]")  # fmt: skip
+@click.option("--blunders", default=1.0, type=float, metavar="N",
+              help="times the usual number of points far below and above the ground; 0: none [default: 1]")  # fmt: skip
+@click.option("--resolution", default="1", metavar="LENGTH",
+              help="pixel of the true terrain model [unit: m; default: 1]")  # fmt: skip
+@json_option
+def command(
+    out: str, kind: str | None, scene: str, seed: int | None, size: str | None, density: float | None,
+    sigma: str | None, blunders: float, resolution: str, as_json: bool,
+) -> None:  # fmt: skip
+    """A cloud with true labels, and its true terrain.
+
+    OUT.laz gets the points of a simulated place with their ASPRS classes: 1 cars and garden walls, 2 ground, 3, 4
+    and 5 plants below 1 m, below 3 m and higher, 6 buildings and facades, 7 blunders below the ground, 9 water, 14
+    wires, 15 towers, 17 bridges, 18 blunders in the air. OUT_dtm.tif beside it gets the true ground, also below
+    objects. Works patch by patch, so that the size is bounded by the disk alone.
+    """
+    from tiler.core.units import parse_length
+    from tiler.observe.progress import open_progress
+    from tiler.simulate.files import describe_scene, write_scene
+
+    def metres(text: str | None) -> float | None:
+        return None if text is None else float(parse_length(text))
+
+    spec = describe_scene(
+        scene, kind, seed=seed, side_m=metres(size), density=density, sigma_m=metres(sigma), blunders=blunders
+    )
+    session = current_session()
+    with open_progress(sys.stderr, session.quiet) as listener:
+        facts: dict[str, Any] = write_scene(out, spec, float(parse_length(resolution)), listener)
+    if as_json:
+        print_json(facts)
+    elif not session.quiet:
+        print_facts(facts)

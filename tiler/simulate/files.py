@@ -1,0 +1,167 @@
+"""A scene as files, written patch by patch: a cloud with true classes, and the true terrain beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiler.errors import ConfigError, ProcessingError
+from tiler.observe.events import Listener, silent
+from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
+from tiler.simulate.cloud import CloudWriter, write_dtm
+from tiler.simulate.points import CLASS_NAMES, patches, survey_patch
+from tiler.simulate.sites import SITES
+
+DEFAULT_SIDE_M = {"als": 500.0, "dim": 150.0}
+DENSITY_RANGE = {"als": (0.05, 100.0), "dim": (1.0, 500.0)}
+"""Fewest and most points per square metre: a patch of the densest fills about 300 MB."""
+
+SIDE_RANGE_M = (50.0, 50_000.0)
+SIGMA_RANGE_M = (0.0, 1.0)
+BLUNDERS_RANGE = (0.0, 100.0)
+PIXEL_RANGE_M = (0.05, 100.0)
+
+
+def describe_scene(
+    scene: str = "city",
+    kind: str | None = None,
+    *,
+    seed: int | None = None,
+    side_m: float | None = None,
+    density: float | None = None,
+    sigma_m: float | None = None,
+    blunders: float = 1.0,
+) -> SceneSpec:
+    """What to simulate: a scene of the catalogue or a kind of place, and what shall differ from its settings.
+
+    Parameters
+    ----------
+    scene : str
+        A name of `tiler.simulate.SCENES` or of `tiler.simulate.SITES`.
+    kind : {'als', 'dim'}, optional
+        That of the catalogue's scene, else ``als``.
+    seed : int, optional
+        That of the catalogue's scene, else 1.
+    side_m, density, sigma_m : float, optional
+        Metres, points per square metre, metres; those of the catalogue's scene, else `DEFAULT_SIDE_M` and the
+        sensor's.
+    blunders : float
+        Times the usual number of low and high blunders.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name, another kind than the catalogue's scene has, or a value out of range.
+    """
+    if scene in SCENES:
+        spec = SCENES[scene]
+        if kind not in (None, spec.kind):
+            raise ConfigError(f"--kind {kind}: scene {scene} is of kind {spec.kind}; use --scene {spec.site}")
+    elif scene in SITES:
+        kind = kind or "als"
+        if kind not in SENSORS:
+            raise ConfigError(f"--kind {kind}: choose one of {', '.join(SENSORS)}")
+        spec = SceneSpec(scene, kind, "", f"{kind} {scene}", scene, 1, DEFAULT_SIDE_M[kind])
+    else:
+        names = ", ".join((*SITES, *SCENES))
+        raise ConfigError(f"unknown scene {scene!r}: choose one of {names}")
+    sensor = dict(spec.sensor)
+    if density is not None:
+        sensor["density"] = _within("--density", density, *DENSITY_RANGE[spec.kind], "points/m2")
+    if sigma_m is not None:
+        sensor["sigma_m"] = _within("--sigma", sigma_m, *SIGMA_RANGE_M, "m")
+    _within("--blunders", blunders, *BLUNDERS_RANGE, "times")
+    defaults = SENSORS[spec.kind]
+    for name in defaults.BLUNDERS:
+        sensor[name] = blunders * sensor.get(name, getattr(defaults, name))
+    side_m = spec.side_m if side_m is None else _within("--size", side_m, *SIDE_RANGE_M, "m")
+    seed = spec.seed if seed is None else seed
+    if seed < 0:
+        raise ConfigError(f"--seed {seed}: must not be negative")
+    return dataclasses.replace(spec, seed=seed, side_m=side_m, sensor=sensor)
+
+
+def write_scene(
+    path: str | Path, spec: SceneSpec, pixel_m: float = 1.0, listener: Listener = silent
+) -> dict[str, Any]:
+    """Simulate a scene into a cloud and, beside it, ``<name>_dtm.tif``; memory is that of one patch.
+
+    Parameters
+    ----------
+    path : path
+        LAZ or, if so named, LAS: format 6, or 7 where the scene has colours. Both files appear under their names
+        when they are whole, and replace what was there. The same ``spec`` gives the same bytes.
+    spec : SceneSpec
+        As `describe_scene` gives it.
+    pixel_m : float
+        Side of a pixel of the true terrain, metres.
+    listener : Listener
+        Told what happens.
+
+    Returns
+    -------
+    dict
+        ``cloud``, ``dtm``, ``scene``, ``kind``, ``seed``, ``side_m``, ``points``, ``points_per_m2``, and
+        ``classes`` (class to number of points and what it holds).
+
+    Raises
+    ------
+    ConfigError
+        The name is no LAZ or LAS, or ``pixel_m`` out of range.
+    ProcessingError
+        A file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".laz", ".las"):
+        raise ConfigError(f"{path}: a simulated cloud is LAZ or LAS; name it .laz")
+    _within("--resolution", pixel_m, *PIXEL_RANGE_M, "m")
+    dtm = path.with_name(f"{path.stem}_dtm.tif")
+    part, dtm_part = (target.with_name(target.name + ".partial") for target in (path, dtm))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        counts = _write_cloud(part, path.suffix.lower() == ".laz", spec, listener)
+        write_dtm(dtm_part, spec.make_site(), pixel_m)
+        dtm_part.replace(dtm)
+        part.replace(path)
+    except OSError as error:
+        raise ProcessingError(
+            f"{path}: cannot be written ({error.strerror or error}); see to space and rights"
+        ) from error
+    finally:
+        for scratch in (part, dtm_part):
+            with suppress(OSError):
+                scratch.unlink(missing_ok=True)
+    points = int(counts.sum())
+    return {
+        "cloud": str(path), "dtm": str(dtm), "scene": spec.name, "kind": spec.kind, "seed": spec.seed,
+        "side_m": spec.side_m, "points": points, "points_per_m2": round(points / spec.side_m**2, 3),
+        "classes": {f"{value} {CLASS_NAMES[value]}": int(counts[value]) for value in np.flatnonzero(counts).tolist()},
+    }  # fmt: skip
+
+
+def _write_cloud(path: Path, compressed: bool, spec: SceneSpec, listener: Listener) -> np.ndarray:
+    """All patches into one file; returns the number of points of each class, int64, shape (256,)."""
+    site, sensor = spec.make_site(), spec.make_sensor()
+    todo = patches(sensor, spec.side_m)
+    counts = np.zeros(256, np.int64)
+    started = time.monotonic()
+    listener("stage_started", {"stage": "simulate", "tasks": len(todo), "points": 0, "done": 0})
+    with CloudWriter(path, colour=spec.kind == "dim", compressed=compressed) as cloud:
+        for index in todo:
+            points = survey_patch(site, sensor, *index)
+            cloud.write(points)
+            counts += np.bincount(points.label, minlength=256)
+            listener("task_done", {"stage": "simulate", "points": len(points)})
+    listener("stage_finished", {"stage": "simulate", "seconds": time.monotonic() - started})
+    return counts
+
+
+def _within(option: str, value: float, low: float, high: float, unit: str) -> float:
+    if not low <= value <= high:
+        raise ConfigError(f"{option} {value:g}: must be between {low:g} and {high:g} {unit}")
+    return value
