@@ -205,8 +205,8 @@ def _published() -> str:
         for r in RMSES
     ]
     return "\n".join((
-        "None of these was measured by this script: they are printed in the papers, on their authors' data, or were "
-        "measured earlier where it says so.\n",
+        "None of these was measured by this script: they are printed in the papers, on their authors' data, and often "
+        "tuned for each sample, or were measured earlier where it says so.\n",
         "Type I / type II / total of the ISPRS samples that are open here, and the mean total:\n",
         table(["published", *samples, "mean"], per_sample),
         "Sources: " + "; ".join(dict.fromkeys(f"{entry.name}: {entry.source}" for entry in PER_SAMPLE)) + ".\n",
