@@ -48,13 +48,17 @@ class Bins(NamedTuple):
 
 @kernel
 def _gauge(
-    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float
+    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float, largest: bool
 ) -> tuple[float, float]:
-    """Distance to the plane of a real facet, without sign, and to its farthest corner: horizontal counts.
+    """Distance to the plane of a real facet, without sign, and to its nearest or farthest corner: horizontal counts.
 
-    The smallest of the angles between the plane and the lines to the corners is that to the farthest corner.
+    The largest of the angles between the plane and the lines to the corners is that to the nearest corner, the
+    smallest that to the farthest.
     """
-    distance = abs(facet_measures(vertices, triangles, t, x, y, z, z_ratio)[0])
+    distance, nearest, _cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, z_ratio)
+    if largest:
+        return abs(distance), nearest
+    distance = abs(distance)
     farthest2 = 0.0
     for v in canonical_facet(vertices, triangles, t):
         dx, dy = float(x - vertices[4 * v]), float(y - vertices[4 * v + 1])
@@ -84,7 +88,7 @@ def _start(grid: Int32, place: tuple[int, int, int, int, int], x: int, y: int) -
 def _test(
     vertices: Int32Array, triangles: Int32Array, usable: Bool, grid: Int32, place: tuple[int, int, int, int, int],
     x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, near: Bool, distance: float, sine: float,
-    z_ratio: float, passed: Bool, doubtful: Bool,
+    z_ratio: float, largest: bool, passed: Bool, doubtful: Bool,
 ) -> None:  # fmt: skip
     for i in range(x.size):
         if not which[i]:
@@ -95,8 +99,8 @@ def _test(
             passed[i] = abs(float(z[i]) - float(vertices[4 * v + 2])) * z_ratio <= distance
             doubtful[i] = in_doubt[t] != 0
         elif usable[t]:
-            off, farthest = _gauge(vertices, triangles, t, x[i], y[i], z[i], z_ratio)
-            passed[i] = off <= distance and off <= farthest * sine
+            off, corner = _gauge(vertices, triangles, t, x[i], y[i], z[i], z_ratio, largest)
+            passed[i] = off <= distance and off <= corner * sine
             doubtful[i] = in_doubt[t] != 0 or in_doubt[across(vertices, triangles, t, x[i], y[i])] != 0
         else:
             doubtful[i] = near[i]
@@ -105,7 +109,8 @@ def _test(
 @kernel
 def _count(
     vertices: Int32Array, triangles: Int32Array, usable: Bool, grid: Int32, place: tuple[int, int, int, int, int],
-    x: Int32, y: Int32, z: Int32, which: Bool, z_ratio: float, distance: float, angle: float, counts: Int64,
+    x: Int32, y: Int32, z: Int32, which: Bool, z_ratio: float, largest: bool, distance: float, angle: float,
+    counts: Int64,
 ) -> None:  # fmt: skip
     for i in range(x.size):
         if not which[i]:
@@ -113,8 +118,8 @@ def _count(
         t = locate(vertices, triangles, x[i], y[i], _start(grid, place, x[i], y[i]))
         if coincident_vertex(vertices, triangles, x[i], y[i], t) >= 0 or not usable[t]:
             continue
-        off, farthest = _gauge(vertices, triangles, t, x[i], y[i], z[i], z_ratio)
-        row, column = int(off / distance), int(math.asin(min(off / farthest, 1.0)) / angle)
+        off, corner = _gauge(vertices, triangles, t, x[i], y[i], z[i], z_ratio, largest)
+        row, column = int(off / distance), int(math.asin(min(off / corner, 1.0)) / angle)
         if row < counts.shape[0] and column < counts.shape[1]:
             counts[row, column] += 1
 
@@ -135,10 +140,14 @@ class Trial:
         Largest circumradius.
     doubt : Doubt, optional
         As it is now.
+    largest : bool
+        A point's angle is the largest of the three (Axelsson; Dong 2018), not the smallest (Dong 2017).
     """
 
-    def __init__(self, tin: Tin, scale: Scale, widest_m: float, doubt: Doubt | None = None) -> None:
-        self.tin, self.scale, self.doubt = tin, scale, doubt
+    def __init__(
+        self, tin: Tin, scale: Scale, widest_m: float, doubt: Doubt | None = None, largest: bool = False
+    ) -> None:
+        self.tin, self.scale, self.doubt, self.largest = tin, scale, doubt, largest
         self.radius = scale.counts(widest_m)
         n = int(tin.counters[N_TRIANGLES])
         self.usable = _usable(tin.vertex_array, tin.triangle_array, n, Rule(ANY_EDGE, self.radius))
@@ -172,7 +181,7 @@ class Trial:
         _test(
             self.tin.vertex_array, self.tin.triangle_array, self.usable, self._grid, self._place, x, y, z, which,
             self.in_doubt, near, self.scale.counts(threshold.distance_m), math.sin(threshold.angle_rad),
-            self.scale.z_ratio, passed, doubtful,
+            self.scale.z_ratio, self.largest, passed, doubtful,
         )  # fmt: skip
         return passed, doubtful
 
@@ -182,6 +191,6 @@ class Trial:
         if self.usable.size:
             _count(
                 self.tin.vertex_array, self.tin.triangle_array, self.usable, self._grid, self._place, x, y, z, which,
-                self.scale.z_ratio, self.scale.counts(bins.distance_m), bins.angle_rad, counts,
+                self.scale.z_ratio, self.largest, self.scale.counts(bins.distance_m), bins.angle_rad, counts,
             )  # fmt: skip
         return counts

@@ -52,6 +52,16 @@ def test_both_thresholds_hold(threshold: tuple[float, float], passes: bool) -> N
     assert not doubtful.any()
 
 
+def test_largest_angle_by_hand() -> None:
+    """Above (2, 0) by 0.3 m the nearest corner is 2 m away in plan: atan(0.15)."""
+    point, bins = columns((200, 0, 130)), Bins(0.1, 10, 0.005, 100)
+    trial = Trial(right_triangle(), SCALE, 10.0, largest=True)
+    counts = trial.count(*point, np.ones(1, bool), bins)
+    assert np.argwhere(counts).tolist() == [[3, int(math.atan(0.15) / 0.005)]]
+    for angle, passes in ((0.150, True), (0.148, False)):
+        assert trial.test(*point, np.ones(1, bool), Threshold(0.31, angle), SURE)[0].tolist() == [passes]
+
+
 def test_on_a_vertex_the_height_counts_alone() -> None:
     point = columns((600, 0, 120), (600, 0, 140))
     found, _ = Trial(right_triangle(), SCALE, 10.0).test(*point, np.ones(2, bool), Threshold(0.3, 1e-6), SURE)
