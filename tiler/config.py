@@ -45,6 +45,13 @@ class RunConfig:
                                     unit="m", kind="length")  # fmt: skip
     max_edge: Fraction = setting(Fraction(100), "a pixel is nodata where its facet's longest edge or circumradius "
                                  "is longer", unit="m", kind="length")  # fmt: skip
+    interpolation: str = setting("linear", "heights between ground points: linear on the TIN, natural neighbours, or "
+                                 "idw (12 nearest, 1 / squared distance); all fill the same pixels", kind="choice",
+                                 choices=("linear", "natural", "idw"))  # fmt: skip
+    surface: str = setting("all", "ground points that make the DTM: all, or of each cell of half a pixel the median or "
+                           "a percentile (p10) of the heights, for noisy matched clouds", kind="surface")  # fmt: skip
+    erode: Fraction = setting(Fraction(0), "ground points so near to an object's point at least 1 m higher are not "
+                              "gridded: stumps of walls in matched clouds", unit="m", kind="length")  # fmt: skip
     voids: str = setting("leave", "pixels beyond `max-edge` inside the survey: leave (no height), fill (from "
                          "their rim), or mark (fill, and write the mask)", kind="choice",
                          choices=("leave", "fill", "mark"))  # fmt: skip
@@ -97,6 +104,11 @@ class RunConfig:
     verify: bool = setting(False, "read the inputs again to see whether they changed", kind="flag")
     overwrite: bool = setting(False, "start anew instead of going on with what OUT holds", kind="flag")
     clean_store: bool = setting(False, "remove the store when the run is done", kind="flag")
+
+    @property
+    def surface_percent(self) -> int | None:
+        """Percentile of the heights of a cell that makes the DTM; None for all points."""
+        return {"all": None, "median": 50}[self.surface] if self.surface[:1] != "p" else int(self.surface[1:])
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able settings; `from_mapping` reads them back."""
@@ -176,6 +188,15 @@ def parse_names(
     return tuple(c for c in choices if c in found)
 
 
+def parse_surface(value: Any) -> str:
+    """``all``, ``median`` or ``p0`` to ``p100``; raises ConfigError."""
+    if value in ("all", "median"):
+        return str(value)
+    if isinstance(value, str) and value[:1] == "p" and value[1:].isdecimal() and int(value[1:]) <= 100:
+        return value
+    raise ConfigError(f"surface {value!r}: write all, median, or a percentile of the heights like p10")
+
+
 def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
     """``name=value`` settings of a method, from strings or a mapping; raises ConfigError."""
     if isinstance(value, Mapping):
@@ -191,7 +212,7 @@ def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
 
 def _positive_length(name: str, value: Any) -> Fraction:
     length = parse_length(value)
-    if length < 0 or (length == 0 and name != "halo"):
+    if length < 0 or (length == 0 and name not in ("halo", "erode")):
         raise ConfigError(f"{name} {value}: must be above 0")
     return length
 
@@ -219,6 +240,8 @@ def _parse(spec: dataclasses.Field[Any], value: Any) -> Any:
         return parse_bytes(value)
     if kind == "classes":
         return parse_classes(value)
+    if kind == "surface":
+        return parse_surface(value)
     if kind == "names":
         if not isinstance(value, str | list | tuple):
             raise ConfigError(f"{spec.name} {value!r}: must be names with commas")

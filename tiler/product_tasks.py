@@ -157,6 +157,7 @@ def _point_tasks(name: str, g: Gridding) -> Iterator[Task]:
     spec = g.spec_of(name)
     special, reach = _point_arguments(name, g)
     common = {"name": name, "spec": spec.to_json(), **ground_arguments(g.plan), **special}
+    reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))
     for block in spec.blocks(GRID_BLOCK):
         near = _near(g, spec, block, reach)
         if not near:
@@ -234,12 +235,13 @@ def _mask_tasks(g: Gridding) -> Iterator[Task]:
         "coarse": g.coarse.to_json(), **ground_arguments(g.plan),
     }  # fmt: skip
     survey = _checksums(g.made["survey"])
+    erode = math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))
     for block in spec.blocks(GRID_BLOCK):
         arguments = {**common, "block": _of_block(block)}
         rasters = [
             g.made[name][block.name][1]["checksum"] for name in ("dtm", heights) if block.name in g.made[name]
         ]
-        seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in _near(g, spec, block)]
+        seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in _near(g, spec, block, erode)]
         digest = digest_of(__version__, arguments, survey, rasters, seen)
         yield Task("grid-mask", block.name, digest, mask_block, arguments, block.height * block.width)
 
@@ -291,4 +293,7 @@ def cog_task(g: Gridding, inputs: str, out: Path, name: str) -> Task:
 def grid_settings(plan: Plan) -> dict[str, Any]:
     """What made the rasters of the ground points, for their tags; lengths in metres."""
     config = plan.config
-    return {"max_edge_m": float(config.max_edge), "spike_m": float(config.spike), "voids": config.voids}
+    return {
+        "interpolation": config.interpolation, "surface": config.surface, "erode_m": float(config.erode),
+        "max_edge_m": float(config.max_edge), "voids": config.voids, "spike_m": float(config.spike),
+    }  # fmt: skip

@@ -26,6 +26,12 @@ from tiler.ingest import SourceInfo, assemble_buckets, pieces, spool_piece
 from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
 
+ERODE_RISE_M = 1
+"""How much higher than a ground point an object beside it has to be for `--erode`."""
+
+SURFACE_SHARE, THIN_SHARE = 2, 4
+"""Parts of a pixel's side: cells that give one point to the surface, by percentile or for the sake of memory."""
+
 GROUP = 4
 """Buckets a side that one assembly task writes."""
 
@@ -193,22 +199,26 @@ def ground_arguments(plan: Plan) -> dict[str, Any]:
     keep = plan.config.method == KEEP
     return {
         "labels": None if keep else LABELS, "classes": list(plan.config.ground_classes) if keep else [2],
-        "skip_flags": skip_flags(plan),
+        "skip_flags": skip_flags(plan), "erode": str(plan.meta.frame.counts(plan.config.erode)),
+        "erode_rise": math.ceil(ERODE_RISE_M / plan.meta.frame.metres_z),
     }  # fmt: skip
 
 
 def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], name: str) -> Iterator[Task]:
     """One for each block of the raster that a facet could reach."""
     spec, frame = raster_spec(plan, assembled), plan.meta.frame
-    max_edge = frame.counts(plan.config.max_edge)
+    max_edge, percent = frame.counts(plan.config.max_edge), plan.config.surface_percent
+    share = SURFACE_SHARE if percent is not None else THIN_SHARE if plan.thin_ground else None
+    reach = full_halo(max_edge) + math.ceil(frame.counts(plan.config.erode))
     common = {
         "name": name, "spec": spec.to_json(), "data": assembled.bounds().to_json(), **ground_arguments(plan),
         "max_edge": str(max_edge), "halo": math.ceil(frame.counts(plan.grid_halo)),
         "max_halo": full_halo(max_edge),
-        "thin_cell": str(frame.counts(plan.resolution / 4)) if plan.thin_ground else None,
+        "interpolation": plan.config.interpolation, "percent": percent,
+        "thin_cell": None if share is None else str(frame.counts(plan.resolution / share)),
     }  # fmt: skip
     for block in spec.blocks(GRID_BLOCK):
-        window = spec.block_bounds(block).pad(full_halo(max_edge))
+        window = spec.block_bounds(block).pad(reach)
         near = [cell for cell in plan.meta.bucket.cells(window) if cell in labels]
         if not near:
             continue

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ptd.idw import inverse_distance
 from ptd.tin import Pixels, Raster, Tin, Window, rasterise
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
-from tiler.grid.ground import Ground, GroundRule, central_points, read_ground, whole_cells
+from tiler.grid.ground import Ground, GroundRule, central_points, ranked_points, read_ground, whole_cells
 from tiler.store import TileStore, open_store
 
 SMALLEST_PART = 32
@@ -46,6 +47,8 @@ class GridJob:
     data: Bounds
     max_edge: Fraction
     thin: Lattice | None
+    percent: int | None
+    interpolation: str
 
 
 def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
@@ -58,11 +61,13 @@ def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``name``: of the raster in the store. ``spec``: `RasterSpec` as JSON. ``block``: row, col, height, width,
         aligned to the raster's chunks. ``data``: `Bounds` of all points of the run; there are no points beyond.
         ``labels``: name of the pass that holds the final labels, None to trust the input's classes.
-        ``classes`` (default 2) and ``skip_flags`` (default withheld): see `GroundRule`.
+        ``classes`` (default 2), ``skip_flags`` (default withheld), ``erode``, ``erode_rise``: see `GroundRule`.
+        ``interpolation``: ``linear`` (default), ``natural`` or ``idw``; all fill the same pixels.
         ``max_edge``: counts, as a fraction in text; limit of a facet's longest edge and circumradius.
         ``halo``, ``max_halo``: counts, to begin with and at most (default `full_halo`).
-        ``thin_cell``: counts, as a fraction in text, or None. Of the ground points of such a cell only the central
-        one is used. One value for the whole run, as another one is another surface.
+        ``thin_cell``: counts, as a fraction in text, or None. Of the ground points of such a cell only one is used:
+        that at ``percent`` of their heights, or the central one where that is None. One value for the whole
+        run, as another one is another surface.
         ``max_points``: a block whose window holds more is done in quarters (default: never).
 
     Returns
@@ -153,6 +158,8 @@ def read_job(args: dict[str, Any]) -> GridJob:
         Bounds.from_json(args["data"]),
         Fraction(args["max_edge"]),
         None if thin is None else Lattice(Fraction(thin)),
+        args.get("percent"),
+        args.get("interpolation", "linear"),
     )
 
 
@@ -164,7 +171,12 @@ def _ground(store: TileStore, job: GridJob, window: Bounds) -> tuple[Ground, npt
     # Cells that the window cuts are read whole, so that the choice in them is everybody's choice.
     ground = read_ground(store, job.rule, whole_cells(window, job.thin))
     origin = store.meta.frame.origin
-    xyz = ground.xyz[:, central_points(ground.xyz, origin, job.thin)]
+    chosen = (
+        central_points(ground.xyz, origin, job.thin)
+        if job.percent is None
+        else ranked_points(ground.xyz, origin, job.thin, job.percent)
+    )
+    xyz = ground.xyz[:, chosen]
     x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
     inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
     return ground, xyz[:, inside]
@@ -184,9 +196,11 @@ def rasterise_window(store: TileStore, job: GridJob, window: Bounds, xyz: npt.ND
     east, north = store.meta.frame.origin
     spec, block, limit = job.spec, job.block, float(job.max_edge)
     try:
-        return rasterise(
+        pixels = pixels_of(spec, block, (east, north))
+        raster = rasterise(
             Tin.build(xyz[0], xyz[1], xyz[2]),
-            pixels_of(spec, block, (east, north)),
+            pixels,
+            interpolator="natural" if job.interpolation == "natural" else "linear",
             max_edge=limit, max_radius=limit,
             window=Window(
                 window.x0 - east, window.y0 - north, window.x1 - east, window.y1 - north,
@@ -194,6 +208,12 @@ def rasterise_window(store: TileStore, job: GridJob, window: Bounds, xyz: npt.ND
                 open_east=window.x1 >= job.data.x1, open_north=window.y1 >= job.data.y1,
             ),
         )  # fmt: skip
+        if job.interpolation != "idw":
+            return raster
+        heights, distance = inverse_distance(xyz[0], xyz[1], xyz[2], pixels, limit)
+        known = spec.block_bounds(block).x0 - window.x0  # the halo: beyond it there may be nearer points
+        filled = ~np.isnan(raster.heights)
+        return Raster(np.where(filled, heights, np.nan), raster.marks | (filled & (distance > known)))
     except ValueError as error:
         raise ProcessingError(
             f"block {block.name}: {error}; use a smaller max_edge or another resolution"

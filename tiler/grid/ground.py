@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ptd.erosion import beside_objects
 from tiler.core.classes import GROUND, NOISE, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
@@ -30,16 +33,31 @@ class GroundRule:
     classes : sequence of int
     skip_flags : int
         Bits of `PointBlock.flags` that keep a point out; withheld points always stay out.
+    erode : Fraction
+        Counts in plan. A ground point within that distance of an object's point that is higher by ``erode_rise``
+        counts (vertical) is none: what image matching leaves of walls. 0: all count.
     """
 
     labels: str | None
     classes: Sequence[int]
     skip_flags: int = WITHHELD_FLAG
+    erode: Fraction = Fraction(0)
+    erode_rise: int = 0
 
     @classmethod
     def from_args(cls, args: dict[str, Any]) -> GroundRule:
-        """From ``labels``, ``classes`` (default 2) and ``skip_flags`` (default withheld) of a task."""
-        return cls(args["labels"], args.get("classes", (GROUND,)), args.get("skip_flags", WITHHELD_FLAG))
+        """From ``labels``, ``classes`` (default 2), ``skip_flags`` (default withheld), ``erode`` of a task."""
+        return cls(
+            args["labels"], args.get("classes", (GROUND,)), args.get("skip_flags", WITHHELD_FLAG),
+            Fraction(args.get("erode", 0)), args.get("erode_rise", 0),
+        )  # fmt: skip
+
+    def is_ground(self) -> npt.NDArray[np.bool_]:
+        """By class or label, bool (256,)."""
+        table = np.zeros(256, np.bool_)
+        for value in self.classes:
+            table[[value, value | MARK_BIT] if self.labels is not None else [value]] = True
+        return table
 
 
 @dataclass(frozen=True)
@@ -52,11 +70,9 @@ class Ground:
 
 def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds) -> Ground:
     """Ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order."""
-    is_ground = np.zeros(256, np.bool_)
-    for value in rule.classes:
-        is_ground[[value, value | MARK_BIT] if rule.labels is not None else [value]] = True
+    is_ground = rule.is_ground()
     columns = ("xyz", "flags") if rule.labels is not None else ("xyz", "flags", "classification")
-    parts, marked, present = [np.empty((3, 0), np.int32)], 0, store.buckets()
+    parts, marks, present = [np.empty((3, 0), np.int32)], [np.empty(0, np.bool_)], store.buckets()
     for cell in store.meta.bucket.cells(bounds):
         if cell not in present:
             continue
@@ -66,9 +82,28 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds) -> Ground:
         chosen = is_ground[classes] & _used(block, rule, store, cell)
         chosen &= block.inside(bounds, store.meta.frame.origin)
         parts.append(block.xyz[:, chosen])
-        if rule.labels is not None:
-            marked += int(np.count_nonzero(classes[chosen] & MARK_BIT))
-    return Ground(np.concatenate(parts, axis=1), marked)
+        marks.append((classes[chosen] >= MARK_BIT) & (rule.labels is not None))
+    xyz, marked = np.concatenate(parts, axis=1), np.concatenate(marks)
+    if rule.erode:
+        stays = ~beside_objects(
+            xyz, _objects(store, rule, bounds), rule.erode, rule.erode_rise, store.meta.frame.origin
+        )
+        xyz, marked = np.ascontiguousarray(xyz[:, stays]), marked[stays]
+    return Ground(xyz, int(marked.sum()))
+
+
+def _objects(store: TileStore, rule: GroundRule, bounds: Bounds) -> npt.NDArray[np.int32]:
+    """Points that are neither ground nor noise, as far around ``bounds`` as they have a say."""
+    wide, present, is_ground = bounds.pad(math.ceil(rule.erode)), store.buckets(), rule.is_ground()
+    parts = [np.empty((3, 0), np.int32)]
+    for cell in store.meta.bucket.cells(wide):
+        if cell in present:
+            block, chosen = surface_points(store, rule, cell)
+            column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
+            chosen &= ~is_ground[_there(column, store, cell)]
+            chosen &= block.inside(wide, store.meta.frame.origin)
+            parts.append(block.xyz[:, chosen])
+    return np.concatenate(parts, axis=1)
 
 
 def surface_points(
@@ -132,3 +167,29 @@ def central_points(
     first = np.ones(len(order), np.bool_)
     first[1:] = (ix[1:] != ix[:-1]) | (iy[1:] != iy[:-1])
     return order[first]
+
+
+def ranked_points(
+    xyz: npt.NDArray[np.int32], origin: tuple[int, int], lattice: Lattice, percent: int
+) -> npt.NDArray[np.intp]:
+    """Indices of the point at a percentile of the heights of each cell: 50 is the (lower) median, 0 the lowest.
+
+    A measured point, not a mean: on a slope it lies on the surface wherever in its cell it is. Ties go by (z, x, y).
+
+    Parameters
+    ----------
+    xyz, origin, lattice
+        As those of `central_points`, cells of any size.
+    percent : int
+        Of n sorted points the one with index ``(n - 1) * percent // 100`` is taken.
+    """
+    x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
+    ix, iy = lattice.index(x), lattice.index(y)
+    order = np.lexsort((y, x, xyz[2], ix, iy))
+    ix, iy = ix[order], iy[order]
+    first = np.ones(len(order), np.bool_)
+    first[1:] = (ix[1:] != ix[:-1]) | (iy[1:] != iy[:-1])
+    starts = np.flatnonzero(first)
+    counts = np.diff(np.append(starts, len(order)))
+    chosen: npt.NDArray[np.intp] = order[starts + (counts - 1) * percent // 100]
+    return chosen

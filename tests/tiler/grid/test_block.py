@@ -181,3 +181,66 @@ def test_an_impossible_pixel_is_one_line(make_scene):
     scene = make_scene(scattered(50, 90))
     with pytest.raises(ProcessingError, match=r"block r0000000c0000000: .*; use a smaller max_edge"):
         scene.grid(Fraction(100_003, 99_991))
+
+
+@pytest.mark.parametrize("interpolation", ["natural", "idw"])
+@pytest.mark.parametrize("shape", [void, islands], ids=["void", "islands"])
+def test_every_interpolation_fills_the_same_pixels_and_shows_no_block(make_scene, shape, interpolation):
+    scene = make_scene(shape(scattered(2_500, 100_000)))
+    linear, _ = scene.grid(METRE, max_edge=20_000)
+    options = {"max_edge": 20_000, "interpolation": interpolation}
+    whole, (record,) = scene.grid(METRE, **options)
+    assert record["marked"] == 0
+    assert np.array_equal(whole == np.float32(NODATA), linear == np.float32(NODATA))
+    valid = whole != np.float32(NODATA)
+    assert 0 < np.abs(whole - linear)[valid].mean() < 0.5
+    tiled, records = scene.grid(METRE, 37, **options)
+    marked = sum(r["marked"] for r in records)
+    assert (tiled != whole).sum() <= marked
+    assert marked == 0 or interpolation == "natural"  # whose neighbours at the hull nothing bounds
+
+
+@pytest.mark.parametrize("percent", [0, 10, 50])
+def test_a_robust_surface_keeps_planes_and_shows_no_block(make_scene, percent):
+    xyz = plane_points(30_000, 50_000)
+    scene = make_scene(xyz)
+    options = {"thin_cell": "500", "percent": percent}
+    whole, (record,) = scene.grid(METRE, **options)
+    tiled, _ = scene.grid(METRE, 17, **options)
+    assert tiled.tobytes() == whole.tobytes()
+    assert record["ground_used"] <= 100 * 100
+    spec = RasterSpec.covering(Lattice(METRE), scene.data)
+    x, y = (np.arange(spec.width) + 0.5) * 1000, (spec.north - np.arange(spec.height) - 0.5) * 1000
+    truth = (50_000 + x[None, :] / 4 - y[:, None] / 8) / 1000
+    assert np.abs(whole - truth)[whole != np.float32(NODATA)].max() < 0.001
+
+
+def test_a_robust_surface_is_smoother_and_a_low_percentile_lower(make_scene):
+    rng = np.random.default_rng(1)
+    xyz = np.column_stack(
+        (rng.integers(0, 40_000, (40_000, 2)), np.round(rng.normal(5_000, 100, 40_000)))
+    ).astype(np.int64)
+    scene = make_scene(xyz)
+    every, _ = scene.grid(METRE)
+    median, _ = scene.grid(METRE, thin_cell="500", percent=50)
+    low, _ = scene.grid(METRE, thin_cell="500", percent=10)
+    inner = (slice(2, -2), slice(2, -2))
+    assert median[inner].std() < 0.7 * every[inner].std()
+    assert abs(median[inner].mean() - 5) < 0.03
+    assert low[inner].mean() < 4.92
+
+
+def test_stumps_beside_objects_are_not_gridded(make_scene):
+    rng = np.random.default_rng(2)
+    xy = rng.integers(0, 60_000, (30_000, 2))
+    house = (np.abs(xy - 30_000) < 8_000).all(axis=1)
+    foot = (np.abs(xy - 30_000) < 8_400).all(axis=1) & ~house
+    z = np.select([house, foot], [9_000, 800], 0)
+    labels = np.where(house, 1, 2).astype(np.uint8)
+    scene = make_scene(np.column_stack((xy, z)).astype(np.int64), labels)
+    stumps, _ = scene.grid(METRE)
+    clean, (record,) = scene.grid(METRE, erode="1500", erode_rise=1000)
+    assert stumps.max() > 0.5
+    assert np.abs(clean[clean != np.float32(NODATA)]).max() == 0
+    tiled, _ = scene.grid(METRE, 13, erode="1500", erode_rise=1000)
+    assert tiled.tobytes() == clean.tobytes()
