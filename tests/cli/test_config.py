@@ -86,10 +86,10 @@ def test_options_win_over_the_file(effective: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "error"),
     [("color = 1", "unknown setting 'color'"), ("resolution = ", "not valid TOML"), ("workers = 1.5", "workers 1.5"),
-     ("salvage = 'yes'", "salvage 'yes'"), ("compress = 'zip'", "compress 'zip'"), ("products = 'dtm,dms'", "products 'dms'"), ("products = []", "products: names"),
-     ("products = 3", "products 3"), ("surface = 'p101'", "surface 'p101'"), ("surface = 'mean'", "surface 'mean'"),
-     ("voids = 'mend'", "voids 'mend'"), ("interpolation = 'spline'", "interpolation 'spline'"),
-     ("erode = '-1'", "'-1'")],
+     ("salvage = 'yes'", "salvage 'yes'"), ("compress = 'zip'", "compress 'zip'"),
+     ("products = 'dtm,dms'", "products 'dms'"), ("products = []", "products: names"), ("products = 3", "products 3"),
+     ("surface = 'p101'", "surface 'p101'"), ("surface = 'mean'", "surface 'mean'"), ("voids = 'mend'", "voids 'mend'"),
+     ("interpolation = 'spline'", "interpolation 'spline'"), ("erode = '-1'", "'-1'")],
 )  # fmt: skip
 def test_a_bad_file_is_one_line(
     text: str, error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
