@@ -29,7 +29,7 @@ def cell_keys(
 
 
 @kernel
-def _lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
+def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
     """Whether point i goes before j: lower, then lexicographically smaller in (x, y)."""
     if z[i] != z[j]:
         return bool(z[i] < z[j])
@@ -44,7 +44,7 @@ def _lowest_dense(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> In
     lowest = np.full(n_cells, -1, np.int32)
     for i in range(keys.size):
         j = lowest[keys[i]]
-        if j < 0 or _lower(x, y, z, i, j):
+        if j < 0 or is_lower(x, y, z, i, j):
             lowest[keys[i]] = i
     return lowest
 
@@ -59,7 +59,7 @@ def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> I
         if k == 0 or keys[i] != keys[order[k - 1]]:
             out[n] = i
             n += 1
-        elif _lower(x, y, z, i, out[n - 1]):
+        elif is_lower(x, y, z, i, out[n - 1]):
             out[n - 1] = i
     return out[:n].copy()
 

@@ -45,6 +45,47 @@ def _mark_places(
 
 
 @kernel
+def _distance_to_side(ax: float, ay: float, bx: float, by: float) -> float:
+    """From the origin to the segment a b."""
+    dx, dy = bx - ax, by - ay
+    length2 = dx * dx + dy * dy
+    share = min(max(-(ax * dx + ay * dy) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
+    return math.sqrt((ax + share * dx) ** 2 + (ay + share * dy) ** 2)
+
+
+@kernel
+def _mark_triangles(
+    mask: UInt8, west: int, south: int, cell: int, vertices: Int32Array, triangles: Int32Array, which: UInt8,
+    reach: float,
+) -> None:  # fmt: skip
+    """Put cells with a place within `reach` of a chosen real triangle in doubt, and a few more."""
+    near = reach + math.sqrt(0.5) * cell + 1.0
+    corners = np.empty((3, 2), np.float64)
+    for t in range(which.size):
+        if which[t] == 0 or is_ghost(triangles, t):
+            continue
+        for j in range(3):
+            v = 4 * triangles[8 * t + 4 + j]
+            corners[j, 0], corners[j, 1] = vertices[v] - west, vertices[v + 1] - south
+        first_column = max(int((corners[:, 0].min() - near) // cell), 0)
+        first_row = max(int((corners[:, 1].min() - near) // cell), 0)
+        last_column = min(int((corners[:, 0].max() + near) // cell), mask.shape[1] - 1)
+        last_row = min(int((corners[:, 1].max() + near) // cell), mask.shape[0] - 1)
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                x, y = (column + 0.5) * cell, (row + 0.5) * cell
+                inside = True
+                for j in range(3):
+                    ax, ay = corners[j, 0] - x, corners[j, 1] - y
+                    bx, by = corners[(j + 1) % 3, 0] - x, corners[(j + 1) % 3, 1] - y
+                    inside = inside and ax * by - ay * bx >= 0.0
+                    if _distance_to_side(ax, ay, bx, by) <= near:
+                        mask[row, column] = 1
+                if inside:
+                    mask[row, column] = 1
+
+
+@kernel
 def _circle_in_doubt(
     bx: float,
     by: float,
@@ -161,6 +202,23 @@ class Doubt:
         new = self.active and _mark_places(self.mask, self.west, self.south, self.cell, x, y, which)
         self._stale = self._stale or new
         return new
+
+    def add_triangles(self, vertices: Int32Array, triangles: Int32Array, which: UInt8, reach: float) -> None:
+        """Put all places within `reach` counts of the chosen real triangles in doubt."""
+        if self.active:
+            _mark_triangles(self.mask, self.west, self.south, self.cell, vertices, triangles, which, reach)
+            self._stale = True
+
+    def covers(self, x: Int32Array, y: Int32Array) -> npt.NDArray[np.bool_]:
+        """Whether places are in doubt: bool [n]."""
+        if not self.active:
+            return np.zeros(x.size, np.bool_)
+        k = self.known
+        beyond = (x < k.west) | (y < k.south) | (x >= k.east) | (y >= k.north)
+        column = np.clip((x.astype(np.int64) - self.west) // self.cell, 0, self.mask.shape[1] - 1)
+        row = np.clip((y.astype(np.int64) - self.south) // self.cell, 0, self.mask.shape[0] - 1)
+        found: npt.NDArray[np.bool_] = beyond | (self.mask[row, column] != 0)
+        return found
 
     def triangles(self, vertices: Int32Array, triangles: Int32Array, n: int) -> UInt8:
         """1 for each triangle whose circumcircle may hold a place in doubt, or that has no circle: uint8 [n]."""

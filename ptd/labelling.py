@@ -56,6 +56,43 @@ class Locator:
 
 
 @kernel
+def is_terrain(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    in_doubt: UInt8,
+    limits: Limits,
+    floor: float,
+) -> tuple[bool, bool, bool]:
+    """The rule of `label_points` for a point that lies in triangle t, which may be a ghost.
+
+    Returns
+    -------
+    terrain : bool
+    elsewhere : bool
+        The answer rests on other triangles than t.
+    doubtful : bool
+        The answer rests on a triangle in doubt.
+    """
+    doubtful = in_doubt[t] != 0
+    if is_ghost(triangles, t):
+        return False, False, doubtful
+    v = coincident_vertex(vertices, triangles, x, y, t)
+    if v >= 0:
+        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, False, doubtful
+    beside = across(vertices, triangles, t, x, y)
+    doubtful = doubtful or in_doubt[beside] != 0
+    measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
+    if abs(measures[0]) <= floor:
+        return True, beside != t, doubtful
+    passed, mirrored, unsure = judge(vertices, triangles, t, x, y, z, measures, limits, in_doubt)
+    return passed, mirrored or beside != t, doubtful or unsure
+
+
+@kernel
 def _label(
     vertices: Int32Array,
     triangles: Int32Array,
@@ -79,30 +116,15 @@ def _label(
         column = min(max((x[i] - west) // cell, 0), width - 1)
         row = min(max((y[i] - south) // cell, 0), height - 1)
         t = locate(vertices, triangles, x[i], y[i], wide(grid[row * width + column]))
-        marked[i] = in_doubt[t] != 0
-        labels[i] = 1
-        if is_ghost(triangles, t):
+        if vertices_only and (
+            is_ghost(triangles, t) or coincident_vertex(vertices, triangles, x[i], y[i], t) < 0
+        ):
+            labels[i], marked[i] = 1, in_doubt[t] != 0
             continue
-        v = coincident_vertex(vertices, triangles, x[i], y[i], t)
-        if v >= 0:
-            if abs(float(z[i] - vertices[4 * v + 2])) * limits.z_ratio <= floor:
-                labels[i] = 2
-            continue
-        if vertices_only:
-            continue
-        if in_doubt[across(vertices, triangles, t, x[i], y[i])] != 0:
-            marked[i] = True
-        measures = facet_measures(vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio)
-        if abs(measures[0]) <= floor:
-            labels[i] = 2
-            continue
-        passed, _mirrored, unsure = judge(
-            vertices, triangles, t, x[i], y[i], z[i], measures, limits, in_doubt
+        terrain, _elsewhere, marked[i] = is_terrain(
+            vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
         )
-        if unsure:
-            marked[i] = True
-        if passed:
-            labels[i] = 2
+        labels[i] = 2 if terrain else 1
 
 
 def label_points(

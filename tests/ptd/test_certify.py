@@ -292,3 +292,38 @@ def test_window_inside_whole_cells() -> None:
     assert window.inside(cells) == Window(750, 0, 4750, OPEN)
     assert window.inside(cells, 2) == Window(2750, 2000, 2750, OPEN)
     assert Window.everything().inside(cells, 5) == Window.everything()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    corners=st.lists(st.tuples(st.integers(0, 59_999), st.integers(0, 59_999)), min_size=3, max_size=3, unique=True),
+    reach=st.sampled_from([0.0, 2000.0, 5000.0]), seed=st.integers(0, 10**6),
+)  # fmt: skip
+def test_places_near_triangles_are_in_doubt(corners: list[tuple[int, int]], reach: float, seed: int) -> None:
+    """All within the reach, none a few cells beyond it; distances by sampling the triangle."""
+    (ax, ay), (bx, by), (cx, cy) = corners
+    if (bx - ax) * (cy - ay) == (by - ay) * (cx - ax):
+        return
+    known = Window(-OPEN, -OPEN, OPEN, OPEN - 1)
+    doubt = Doubt(known, known, (0, 0, 60_000, 60_000), Scale())
+    tin = triangle(*corners)
+    which = np.ones(tin.n_triangles, np.uint8)
+    doubt.add_triangles(tin.vertex_array, tin.triangle_array, which, reach)
+    u, v = np.random.default_rng(seed).random((2, 4000))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    sample = np.array(corners) @ [[1, 0], [0, 1]]
+    sample = sample[0] + np.outer(u, sample[1] - sample[0]) + np.outer(v, sample[2] - sample[0])
+    places = np.random.default_rng(seed + 1).integers(0, 60_000, (2, 300)).astype(np.int32)
+    distance = np.sqrt(((places.T[:, None, :] - sample[None]) ** 2).sum(axis=2)).min(axis=1)
+    covered = doubt.covers(*places)
+    assert covered[distance <= reach].all()
+    assert not covered[distance > reach + 2 * doubt.cell + 4000].any()
+
+
+def test_places_beyond_the_known_window_are_in_doubt() -> None:
+    known = Window(0, -OPEN, 9000, OPEN)
+    doubt = Doubt(known, known, (-5000, 0, 20_000, 20_000), Scale())
+    x, y = np.array([-1, 0, 8999, 9000], np.int32), np.full(4, 10_000, np.int32)
+    assert doubt.covers(x, y).tolist() == [True, False, False, True]
+    everything = Window.everything()
+    assert not Doubt(everything, everything, (0, 0, 9, 9), Scale()).covers(x, y).any()

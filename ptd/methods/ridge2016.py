@@ -1,0 +1,344 @@
+"""``ridge2016``: progressive TIN densification for steep mountains beside settlements.
+
+Remote Sensing 8(1):71 (2016); file 003. What is not in the table is `classic`'s, with its defaults and reasons.
+
+====================  =============================  ========  =======================================================
+parameter             paper's name and value         default   reason
+====================  =============================  ========  =======================================================
+max_building_size     grid cell size w: 20           20 m      the paper's value. "Half of the classic's" would be 10:
+                                                               more ridges, but type II doubles (``ptd/DESIGN.md``)
+terrain_angle         maximum terrain angle t: 88    88 deg    the paper's value
+iteration_angle       maximum angle theta: 6         25 deg    `classic`'s: 6 loses the ground of sparse clouds
+iteration_distance    maximum distance d: 1.4        1.4 m     the paper's value
+edge_length_stop      minimum edge length l: 1       1 m       the paper's value
+ridge_side            m_r: 1.5                       1.5       the paper's value
+ridge_angle           theta_r: 25                    25 deg    the paper's value
+ridge_radius          "within a radius of 2 m"       2 m       the paper's value
+seed_confidence       1 - alpha: 98 %                0.98      the paper's value
+thin_cell             m: "the resolution of the      1 m       the DTM's default resolution
+                      final acquired DTM"
+growth                p_min: 0.001                   0.001     the paper's value
+rounds                none                           12        a bound for the halo: few runs need as many
+label_floor           none                           0.3 m     `classic`'s; 0 is the paper's rule
+====================  =============================  ========  =======================================================
+
+Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ptd.ridges`); seed refinement (2.2, equations 2-10,
+`ptd.conicoid`); densification (2.3, equations 11 and 12, `ptd.thinned`).
+
+Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both are figures of the run,
+which no tile knows. So a first pass runs all rounds and counts the terrain of each tile's core after each; their sums
+tell which round is the last, and the second pass runs exactly as many. Twice the work, but no tile ends earlier than
+its neighbour. Near the edges of its window a tile cannot be sure of its count; how unsure is summed as well, and if it
+could move the last round a note says so.
+
+Deviations: seeds are judged against one TIN and dropped together, since one after the other depends on their order;
+virtual seeds around the data (`ptd.seeds`) neither make ridges nor take part in fits; the terrain class is counted as
+it is labelled, with the floor of the last pass: by the facet test alone, points beside a new vertex leave the class,
+and it shrinks; low outliers are taken out first (of the paper's data nothing is said).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import islice, pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import lowest_per_cell
+from ptd.certify import Doubt
+from ptd.conicoid import contradicted
+from ptd.frame import Cells, Scale, Window
+from ptd.labelling import UNCLASSIFIED, LowNoise, Terrain
+from ptd.methods.progressive import Progressive
+from ptd.outliers import low_outliers
+from ptd.params import parameter
+from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
+from ptd.ridges import RidgeRule, ridge_points
+from ptd.seeds import RING, box_with_ring, choose_seeds
+from ptd.stacks import Stacks
+from ptd.thinned import Tally, densify_thinned
+from ptd.tin.mesh import Tin
+
+PAPER = "003"
+
+
+@dataclass(frozen=True)
+class Ridge2016(Progressive):
+    """Parameters of `ridge2016`; see the module's table."""
+
+    max_building_size_m: float = parameter(
+        20.0, "w: side of the cells whose lowest point is a seed", unit="m", minimum=5.0, maximum=1000.0,
+        source="003 table 1",
+    )  # fmt: skip
+    edge_length_stop_m: float = parameter(
+        1.0, "l: facets with shorter edges take no more vertices; 0: all do", unit="m", minimum=0.0,
+        maximum=1000.0, source="003 table 1",
+    )  # fmt: skip
+    thin_cell_m: float = parameter(
+        1.0, "m: only the lowest terrain point of a cell of this side stays in the TIN; about the DTM's resolution",
+        unit="m", minimum=0.1, maximum=100.0, source="003 2.3",
+    )  # fmt: skip
+    ridge_side: float = parameter(
+        1.5, "m_r: a facet on a ridge has a side longer than this many cells, in x or in y", minimum=0.0,
+        maximum=100.0, source="003 2.1",
+    )  # fmt: skip
+    ridge_angle_deg: float = parameter(
+        25.0, "theta_r: and such angles to facets that fall away from it on two sides", unit="deg", minimum=0.0,
+        maximum=90.0, source="003 2.1",
+    )  # fmt: skip
+    ridge_radius_m: float = parameter(
+        2.0, "around the centre of such a facet the lowest point is a seed too", unit="m", minimum=0.1, maximum=5.0,
+        source="003 2.1",
+    )  # fmt: skip
+    seed_confidence: float = parameter(
+        0.98, "1 - alpha: seeds whose residual from a conicoid through their neighbours is less probable than alpha "
+        "are dropped; 1: none", minimum=0.5, maximum=1.0, source="003 2.2",
+    )  # fmt: skip
+    seed_residual_m: float = parameter(
+        0.0, "but not those with a smaller residual", unit="m", minimum=0.0, maximum=100.0
+    )
+    growth: float = parameter(
+        0.001, "p_min: rounds end when the terrain grew by no more than this share of the run's points; 0: never",
+        minimum=0.0, maximum=1.0, source="003 equation 11",
+    )  # fmt: skip
+    rounds: int = parameter(12, "rounds of densification at most", minimum=1, maximum=100)
+
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        """Where the growth ends the rounds it is counted first."""
+        last = RidgePass(self)
+        return (GrowthPass(self), last) if self.growth else (last,)
+
+    @property
+    def halo_m(self) -> float:
+        """Two seed cells for the first TIN's circles, two more for what decides on ridges and seeds, 8 m a round."""
+        return 4.0 * self.max_building_size_m + 8.0 * self.rounds
+
+    @property
+    def candidate_cell_m(self) -> float:
+        """Every point is a candidate: that is what the paper's densification is for."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class GrowthPass(Pass):
+    """All rounds, to count the terrain class after each, and in `reduce` the round that is the last."""
+
+    params: Ridge2016
+    name: str = "growth"
+    gives_labels: bool = False
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GrowthModel:
+        """Densify as long as any run would."""
+        return GrowthModel(self.params, points.xyz, window, core, scale)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """State with ``ridge2016``: ``rounds`` to run; ``points``, ``terrain`` and ``unsure`` of the run."""
+        n = self.params.rounds
+        points, terrain, unsure = 0, [0] * (n + 1), [0] * (n + 1)
+        for part in partials:
+            points += part["points"]
+            terrain = [a + b for a, b in zip(terrain, part["terrain"], strict=True)]
+            unsure = [a + b for a, b in zip(unsure, part["unsure"], strict=True)]
+        last, note = last_round(points, terrain, unsure, self.params.growth)
+        found = {
+            "rounds": last,
+            "points": points,
+            "terrain": terrain[: last + 1],
+            "unsure": unsure[: last + 1],
+        }
+        return {**state, "ridge2016": found, "notes": [*state.get("notes", []), note]}
+
+
+def last_round(points: int, terrain: list[int], unsure: list[int], growth: float) -> tuple[int, str]:
+    """The round whose growth of the terrain class is at most a share of all points, and what to tell of it.
+
+    Parameters
+    ----------
+    points : int
+    terrain : list of int
+        N_ground of equation 11: of the seeds, then after each round.
+    unsure : list of int
+        Points of which that is not certain, as they lie near a tile's edge.
+    growth : float
+        p_min.
+    """
+    limit = Fraction(repr(float(growth))) * points
+    steps = [after - before for before, after in pairwise(terrain)]
+    slack = [after + before for before, after in pairwise(unsure)]
+    last = next((k + 1 for k, step in enumerate(steps) if step <= limit), len(steps))
+    share = 100 * steps[last - 1] / max(points, 1)
+    note = f"densification ends after {last} rounds, the last of which added {share:.2f} % of all points to the terrain"
+    if steps[last - 1] > limit:
+        note += f": still more than {100 * growth:g} %, but no more rounds were wanted"
+    if any((step <= limit) != (step + s <= limit) or (step <= limit) != (step - s <= limit)
+           for step, s in zip(steps[:last], slack[:last], strict=True)):  # fmt: skip
+        note += "; points near tile edges could change that: a wider halo makes it certain"
+    return last, note
+
+
+@dataclass(frozen=True)
+class RidgePass(Pass):
+    """Outliers, seeds, ridge points, seed refinement, densification, labels."""
+
+    params: Ridge2016
+    name: str = "ridge2016"
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> RidgeModel:
+        """Densify by as many rounds as the growth left."""
+        rounds = state["ridge2016"]["rounds"] if self.params.growth else self.params.rounds
+        return RidgeModel(self.params, points.xyz, window, scale, rounds)
+
+
+class Prepared:
+    """A window before its densification: no outliers, refined seeds.
+
+    Attributes
+    ----------
+    stacks : Stacks
+        All points but low noise.
+    seeds : int32 [m]
+        Indices into the stacks.
+    virtual : int32 [k, 3]
+    doubt : Doubt
+    low : LowNoise
+    limits : Limits
+    floor : float
+        Of the final labels, counts.
+    counts : dict
+        What was found and dropped.
+    """
+
+    def __init__(self, params: Ridge2016, xyz: Int32, window: Window, scale: Scale) -> None:
+        p = params
+        self.limits, self.floor = p.limits(scale), scale.counts(p.label_floor_m)
+        x, y, z = (np.ascontiguousarray(c) for c in xyz)
+        thin = Cells.of(p.thin_cell_m, scale)
+        lowest = lowest_per_cell(x, y, z, thin)
+        lx, ly, lz = x[lowest], y[lowest], z[lowest]
+        outlier = low_outliers(lx, ly, lz, scale, p.low_radius_m, p.low_depth_m, p.low_group)
+        self.low = LowNoise(lx[outlier], ly[outlier], lz[outlier], thin)
+        if outlier.any():
+            kept = ~self.low.holds(x, y, z)
+            x, y, z = x[kept], y[kept], z[kept]
+        self.stacks = Stacks(x, y, z, thin)
+        cells = Cells.of(p.max_building_size_m, scale)
+        known = window.inside(thin, p.margin_cells)
+        self.doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+        found = choose_seeds(
+            self.stacks.x, self.stacks.y, self.stacks.z, np.ones(x.size, np.bool_), cells, self.doubt
+        )
+        self.virtual = found.virtual
+        ridge = self._ridge_points(params, found.chosen, scale)
+        seeds = np.union1d(found.chosen, ridge)
+        self.seeds = self._refined(params, seeds, scale)
+        self.counts = {
+            "points": int(xyz.shape[1]), "low_outliers": int(outlier.sum()), "seeds": int(found.chosen.size),
+            "ridge_points": int(seeds.size - found.chosen.size), "dropped_seeds": int(seeds.size - self.seeds.size),
+        }  # fmt: skip
+
+    def rounds(self) -> Iterator[tuple[Tin, UInt8]]:
+        """The TIN that the points are tested against in each round, and its triangles in doubt."""
+        return densify_thinned(self.stacks, self.seeds, self.virtual, self.limits, self.doubt)
+
+    def _tin(self, seeds: Int32) -> tuple[Tin, npt.NDArray[np.bool_]]:
+        """TIN of seeds and virtual seeds, and which of its vertices are not virtual."""
+        s, v = self.stacks, self.virtual
+        tin = Tin.build(*(np.concatenate([c[seeds], v[:, k]]) for k, c in enumerate((s.x, s.y, s.z))))
+        virtual = _positions(v[:, 0], v[:, 1])
+        return tin, np.isin(_positions(*tin.vertices.T[:2]), virtual, invert=True)
+
+    def _ridge_points(self, p: Ridge2016, seeds: Int32, scale: Scale) -> Int32:
+        side_m = p.ridge_side * p.max_building_size_m
+        rule = RidgeRule.of(scale, side_m=side_m, angle_deg=p.ridge_angle_deg, radius_m=p.ridge_radius_m)
+        return ridge_points(*self._tin(seeds), self.stacks, rule, self.doubt)
+
+    def _refined(self, p: Ridge2016, seeds: Int32, scale: Scale) -> Int32:
+        tin, data = self._tin(seeds)
+        length, least = scale.counts(p.max_building_size_m), scale.counts_z(p.seed_residual_m)
+        wrong = contradicted(tin, data, length, p.seed_confidence, least, self.doubt)
+        dropped = _positions(*tin.vertices[wrong].T[:2])
+        return seeds[np.isin(_positions(self.stacks.x[seeds], self.stacks.y[seeds]), dropped, invert=True)]
+
+
+def _positions(x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]) -> npt.NDArray[np.int64]:
+    return (x.astype(np.int64) << 32) + y
+
+
+class GrowthModel(Model):
+    """The terrain class of a window's core, round by round."""
+
+    def __init__(self, params: Ridge2016, xyz: Int32, window: Window, core: Window, scale: Scale) -> None:
+        self.stats: dict[str, Any] = {"points": int(xyz.shape[1]), "rounds": 0}
+        self._points = int(_within(xyz[0], xyz[1], core).sum())
+        self._terrain, self._unsure = [0], [0]
+        if xyz.shape[1]:
+            prepared = Prepared(params, xyz, window, scale)
+            self._count(prepared, params, core)
+            self.stats.update(prepared.counts, rounds=len(self._terrain) - 1)
+        # What the rounds that would change nothing would count.
+        missing = params.rounds + 1 - len(self._terrain)
+        self._terrain = self._terrain + missing * self._terrain[-1:]
+        self._unsure = self._unsure + missing * self._unsure[-1:]
+
+    def _count(self, prepared: Prepared, params: Ridge2016, core: Window) -> None:
+        s = prepared.stacks
+        own = _within(s.x, s.y, core)
+        x, y, z = s.x[own], s.y[own], s.z[own]
+        seed = np.zeros(own.size, np.bool_)
+        seed[prepared.seeds] = True
+        self._terrain, self._unsure = (
+            [int(seed[own].sum())],
+            [int(prepared.doubt.covers(x, y)[seed[own]].sum())],
+        )
+        tally = Tally(x, y, z, prepared.limits, prepared.floor)
+        for tin, in_doubt in islice(prepared.rounds(), params.rounds):
+            terrain, unsure = tally.count(tin, in_doubt)
+            self._terrain.append(terrain)
+            self._unsure.append(unsure)
+
+    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+        """Not called: the pass only counts."""
+        raise NotImplementedError
+
+    def partial(self) -> dict[str, Any]:
+        """``points``, and after each round ``terrain`` and ``unsure`` of the core."""
+        return {"points": self._points, "terrain": self._terrain, "unsure": self._unsure}
+
+
+class RidgeModel(Model):
+    """A window's finished TIN."""
+
+    def __init__(self, params: Ridge2016, xyz: Int32, window: Window, scale: Scale, rounds: int) -> None:
+        self.stats: dict[str, Any] = {"points": int(xyz.shape[1]), "rounds": 0}
+        self._closed = window.closed
+        self.terrain: Terrain | None = None
+        if not xyz.shape[1]:
+            return
+        prepared = Prepared(params, xyz, window, scale)
+        for done, (tin, in_doubt) in enumerate(islice(prepared.rounds(), rounds), 1):
+            self.terrain = Terrain(tin, in_doubt, prepared.low, prepared.limits, prepared.floor)
+            self.stats.update(prepared.counts, rounds=done, vertices=tin.n_vertices)
+
+    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+        """Labels and marks of points of the window."""
+        if self.terrain is None:
+            n = len(points)
+            return np.full(n, UNCLASSIFIED, np.uint8), np.full(n, self._closed)
+        return self.terrain.label(points)
+
+
+def _within(x: Int32, y: Int32, core: Window) -> npt.NDArray[np.bool_]:
+    inside: npt.NDArray[np.bool_] = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
+    return inside
+
+
+METHOD = Method(
+    "ridge2016",
+    "densification with ridge points and tested seeds, for steep mountains beside settlements",
+    Ridge2016,
+)

@@ -1,0 +1,117 @@
+"""Points cell by cell, the lowest of a cell first: what looks for the lowest point that passes can stop early."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ptd.cells import CellIndex, Int32, Int64, is_lower, slot_of
+from ptd.frame import Cells
+from ptd.kernel import kernel
+
+SMALL_STACK = 24
+"""Up to so many points insertion alone sorts faster than sorting does."""
+
+
+@kernel
+def _sort_stacks(x: Int32, y: Int32, z: Int32, starts: Int64, order: Int64) -> None:
+    """Sort the points of each cell by (z, x, y), in place."""
+    for k in range(starts.size - 1):
+        first, end = starts[k], starts[k + 1]
+        if end - first > SMALL_STACK:  # roughly, by height alone: insertion then has only ties to settle
+            part = order[first:end].copy()
+            order[first:end] = part[np.argsort(z[part])]
+        for j in range(first + 1, end):
+            moving = order[j]
+            place = j
+            while place > first and is_lower(x, y, z, moving, order[place - 1]):
+                order[place] = order[place - 1]
+                place -= 1
+            order[place] = moving
+
+
+class Raster(NamedTuple):
+    """Where a cell's stack is, for kernels; see `ptd.cells.CellIndex` and `ptd.frame.Cells`."""
+
+    slots: Int32
+    keys: Int64
+    starts: Int64
+    width: int
+    height: int
+    col0: int
+    row0: int
+    p: int
+    q: int
+    origin_x: int
+    origin_y: int
+
+
+class Stacks:
+    """Points sorted by the cells of a lattice in row-major order, and within a cell by (z, x, y).
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts, at least one point.
+    cells : Cells
+
+    Attributes
+    ----------
+    x, y, z : int32 [n]
+        Sorted.
+    starts : int64 [m + 1]
+        Stack k holds the points ``starts[k]`` to ``starts[k + 1]``, its end excluded; none is empty.
+    raster : Raster
+    """
+
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
+        index = CellIndex(x, y, cells)
+        _sort_stacks(x, y, z, index.starts, index.order)
+        self.x, self.y, self.z = x[index.order], y[index.order], z[index.order]
+        self.starts = index.starts
+        self.raster = Raster(
+            index.slots, index.keys, index.starts, index.width, index.height, index.col0, index.row0,
+            cells.p, cells.q, cells.origin_x, cells.origin_y,
+        )  # fmt: skip
+
+
+@kernel
+def lowest_within(x: Int32, y: Int32, z: Int32, raster: Raster, x3: int, y3: int, radius: float) -> int:
+    """The lowest point within a radius of the position (x3 / 3, y3 / 3), -1 if there is none.
+
+    Of equal heights the lexicographically smallest (x, y). Distances are compared exactly.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Of `Stacks`.
+    raster : Raster
+    x3, y3 : int64
+        Three times the position in local counts, as sums of a facet's corners are.
+    radius : float
+        Counts.
+    """
+    reach = int(radius) + 2
+    x0, y0 = x3 // 3 - reach + raster.origin_x, y3 // 3 - reach + raster.origin_y
+    limit2 = 9.0 * radius * radius
+    best = -1
+    for row in range(y0 * raster.q // raster.p, (y0 + 2 * reach) * raster.q // raster.p + 1):
+        for column in range(x0 * raster.q // raster.p, (x0 + 2 * reach) * raster.q // raster.p + 1):
+            slot = slot_of(
+                raster.slots,
+                raster.keys,
+                raster.width,
+                raster.height,
+                column - raster.col0,
+                row - raster.row0,
+            )
+            if slot < 0:
+                continue
+            for i in range(raster.starts[slot], raster.starts[slot + 1]):
+                dx, dy = np.int64(3) * x[i] - x3, np.int64(3) * y[i] - y3
+                if dx * dx + dy * dy <= limit2:
+                    if best < 0 or is_lower(x, y, z, i, best):
+                        best = i
+                    break  # what follows in the stack is not lower
+    return best
