@@ -33,6 +33,23 @@ class StoreError(TilerError):
     """A store that tiler did not write, of another version, or damaged."""
 
 
+class DamagedError(StoreError):
+    """Objects of a store that are damaged or gone; a run does again what wrote them.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Their keys in the store.
+    """
+
+    def __init__(self, text: str, keys: tuple[str, ...] = ()) -> None:
+        super().__init__(text, keys)
+        self.keys = keys
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
 class InputError(TilerError):
     """A source file that cannot be read, or a CRS that cannot be used."""
 

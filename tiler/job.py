@@ -14,7 +14,7 @@ from tiler import __version__
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import Block, RasterSpec
-from tiler.errors import DiskFullError, ProcessingError
+from tiler.errors import DamagedError, DiskFullError, ProcessingError
 from tiler.observe.events import Listener
 from tiler.perform import peak_rss_bytes, perform
 from tiler.plan import Plan
@@ -64,6 +64,7 @@ class Job:
     quarantined: list[dict[str, str]] = field(default_factory=list)
     failed: list[dict[str, Any]] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
+    damaged: set[str] = field(default_factory=set)
 
     def note(self, text: str) -> None:
         """Tell people what was decided for them."""
@@ -113,6 +114,9 @@ class Job:
             cpu_peak = max(cpu_peak, outcome.peak_rss_bytes)
             if outcome.record is not None:
                 done[outcome.task.key] = (outcome.task.digest, outcome.record)
+        if self.damaged:
+            keys, self.damaged = tuple(sorted(self.damaged)), set()
+            raise DamagedError(f"{self.store.url}: {', '.join(keys)}: damaged or gone; run again", keys)
         seconds = round(time.monotonic() - start, 3)
         self.computed += len(todo)
         self.stages[stage] = {**info, "computed": len(todo), "seconds": seconds, "peak_rss_bytes": cpu_peak}
@@ -137,7 +141,8 @@ class Job:
         }
         if outcome.fatal:
             raise DiskFullError(f"{task.stage} {task.key}: {outcome.error}")
-        if outcome.again:
+        self.damaged.update(outcome.damaged)
+        if outcome.again or outcome.damaged:
             self.listener("task_again", failure)
             return
         failure["bounds"] = self._place(task)

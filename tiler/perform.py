@@ -8,7 +8,7 @@ import sys
 import time
 import traceback
 
-from tiler.errors import DiskFullError, TilerError
+from tiler.errors import DamagedError, DiskFullError, TilerError
 from tiler.schedule import Outcome, Task
 from tiler.store import open_store
 
@@ -29,6 +29,7 @@ def perform(store_url: str, task: Task) -> Outcome:
     """Run a task and commit what it returns, so that it counts as done whatever becomes of the command."""
     start = time.monotonic()
     kind: type[BaseException]
+    damaged: tuple[str, ...] = ()
     try:
         record = task.work(store_url, task.arguments)
         open_store(store_url).commit(task.stage, task.key, task.digest, record)
@@ -36,6 +37,7 @@ def perform(store_url: str, task: Task) -> Outcome:
         raise
     except TilerError as error:
         text, kind, again = str(error), type(error), error.again
+        damaged = error.keys if isinstance(error, DamagedError) else ()
     except BaseException as error:  # noqa: BLE001 - whatever a task dies of, panics too, is recorded; the others go on
         where = traceback.extract_tb(error.__traceback__)[-1]
         kind, again = type(error), True
@@ -44,4 +46,6 @@ def perform(store_url: str, task: Task) -> Outcome:
     else:
         return Outcome(task, record, None, None, time.monotonic() - start, peak_rss_bytes())
     seconds, peak = time.monotonic() - start, peak_rss_bytes()
-    return Outcome(task, None, text, kind.__name__, seconds, peak, again, issubclass(kind, DiskFullError))
+    return Outcome(
+        task, None, text, kind.__name__, seconds, peak, again, issubclass(kind, DiskFullError), damaged
+    )

@@ -19,7 +19,8 @@ from ptd.passes import MethodRefusal, Pass, RunFacts, State
 from ptd.warm import warm_filters
 from tiler.config import RunConfig
 from tiler.core.lattice import Cell
-from tiler.errors import ConfigError, InputError, ProcessingError
+from tiler.errors import ConfigError, DamagedError, InputError, ProcessingError
+from tiler.healing import ROUNDS, heal
 from tiler.job import Commits, Job, RunResult
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
@@ -35,6 +36,7 @@ from tiler.tasks import (
     fragments_of,
     label_digests,
     spool_tasks,
+    strays_of,
 )
 
 STAGES = ("ingest", "filter", "grid", "export")
@@ -98,9 +100,8 @@ def _locked_run(
     for text in plan.warnings:
         listener("warning", {"text": text})
     job = Job(plan, out, store, listener)
-    job.quarantined = [{"path": path, "error": error} for path, error in plan.unreadable]
     try:
-        _stages(job, until)
+        _healing_stages(job, until)
     except BaseException:
         with suppress(ProcessingError):  # a full disk refuses this as well: what ended the run is told
             job.save("interrupted")
@@ -114,11 +115,24 @@ def _locked_run(
     return RunResult(5 if job.quarantined or job.failed else 0, summary, job.computed == 0)
 
 
+def _healing_stages(job: Job, until: str) -> None:
+    """The stages, and again what wrote objects of the store that turn out to be damaged."""
+    for number in range(ROUNDS + 1):
+        job.failed, job.quarantined = [], [{"path": p, "error": e} for p, e in job.plan.unreadable]
+        try:
+            _stages(job, until)
+            return
+        except DamagedError as damage:
+            if number == ROUNDS or not damage.keys:
+                raise
+            heal(job, damage.keys)
+
+
 def _stages(job: Job, until: str) -> None:
     """The order of things."""
     sources = _numbered(job)
     spooled, sources = _spool(job, sources)
-    assembled = _assemble(job, spooled)
+    assembled = _assemble(job, sources, spooled)
     if until == "ingest":
         return
     labels = _filter(job, assembled)
@@ -206,10 +220,10 @@ def _input_facts(source: Source, spooled: Commits) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _assemble(job: Job, spooled: Commits) -> Assembled:
+def _assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
     """Points into buckets; tell of duplicates and of what takes no part."""
     fragments = fragments_of(spooled)
-    tasks = list(assemble_tasks(job.plan, spooled, fragments))
+    tasks = list(assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled)))
     _, stale = job.sorted_out("assemble", tasks)
     _forget_labels(job, stale)
     job.take_back("assemble", stale)
@@ -228,9 +242,25 @@ def _assemble(job: Job, spooled: Commits) -> Assembled:
         "duplicates_within_files": within, "duplicates_between_files": between, "participating": taking,
         "kept_out": job.facts["counts"]["stored"] - taking, "buckets": len(assembled.records),
     }  # fmt: skip
+    _tell_of_strays(job, sources, assembled)
     if within or between:
         job.note(f"duplicates take part once: {between:,} points of other files, {within:,} within files")
     return assembled
+
+
+def _tell_of_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:
+    """List the points that belong to nothing."""
+    paths = {source.number: str(source.info.path) for source in sources}
+    found: list[dict[str, Any]] = []
+    for record in assembled.records.values():
+        for number, row, x, y, z in record["strays"]:
+            found.append({"path": paths[number], "point": row, "x": x, "y": y, "z": z})
+    job.facts["counts"]["strays"] = len(found)
+    job.facts["strays"] = found
+    if found:
+        job.note(
+            f"{len(found)} points far from all others of their file, or outside of its bounds, are not filtered"
+        )
 
 
 def _forget_labels(job: Job, stale: Commits) -> None:

@@ -38,6 +38,12 @@ def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commi
     stage, spec, fill = f"grid-{name}", gridding.spec_of(name), gridding.fill_of(name)
     done, stale = job.sorted_out(stage, tasks)
     job.take_back(stage, stale)
+    filled = [b for b in spec.blocks(GRID_BLOCK) if b.name in done and done[b.name][1].get("filled")]
+    lost = {block.name for block in job.store.missing_blocks(name, filled)} if filled else set()
+    if lost:
+        job.note(f"{len(lost)} blocks of {name} are gone from the store; they are made again")
+    job.take_back(stage, lost)
+    done = {key: commit for key, commit in done.items() if key not in lost}
     job.store.create_raster(name, spec.height, spec.width, fill)
     if job.store.get_state(f"raster-{name}") and WHOLE not in done:
         # An earlier run wrote blocks that this one may not write again.

@@ -16,13 +16,21 @@ from typing import Any
 
 from ptd.methods import METHODS
 from tiler import __version__
-from tiler.core.classes import OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
+from tiler.core.classes import OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
 from tiler.export import write_classified
 from tiler.filter import LABELS, filter_tile, sight_m
 from tiler.grid import full_halo, grid_block
-from tiler.ingest import SourceInfo, assemble_buckets, pieces, spool_piece
+from tiler.ingest import (
+    SourceInfo,
+    Strays,
+    assemble_buckets,
+    claimed_bounds,
+    find_strays,
+    pieces,
+    spool_piece,
+)
 from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
 
@@ -55,6 +63,7 @@ def skip_flags(plan: Plan) -> int:
     config = plan.config
     return (
         WITHHELD_FLAG
+        | STRAY_FLAG
         | (SYNTHETIC_FLAG if config.skip_synthetic else 0)
         | (OVERLAP_FLAG if config.skip_overlap else 0)
     )
@@ -64,13 +73,17 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
     """One for each piece of a source."""
     limits = None if plan.limits is None else plan.limits.to_json()
     for source in sources:
+        claimed = claimed_bounds(source.info)
+        extent = None if claimed is None else claimed.to_json()
         for start, count in pieces(source.info, PIECE_POINTS):
             key = f"s{source.number:06d}-{start:012d}"
             arguments = {
                 "path": str(source.info.path.resolve()), "source": source.number, "piece": key, "start": start,
-                "count": count, "bounds": limits, "salvage": plan.config.salvage,
+                "count": count, "bounds": limits, "salvage": plan.config.salvage, "extent": extent,
             }  # fmt: skip
-            digest = digest_of(source.identity, source.number, start, count, limits, plan.meta.to_json())
+            digest = digest_of(
+                source.identity, source.number, start, count, limits, extent, plan.meta.to_json()
+            )
             yield Task("spool", key, digest, spool_piece, arguments, count)
 
 
@@ -89,16 +102,45 @@ def fragments_of(spooled: Mapping[str, tuple[str, dict[str, Any]]]) -> Fragments
     return dict(found)
 
 
+def strays_of(
+    plan: Plan, sources: Iterable[Source], spooled: Mapping[str, tuple[str, dict[str, Any]]]
+) -> dict[int, Strays]:
+    """Number of a source -> its strays, for those that have some."""
+    held: dict[str, dict[Cell, int]] = defaultdict(lambda: defaultdict(int))
+    outside: dict[str, int] = defaultdict(int)
+    for key, (_, record) in spooled.items():
+        outside[key[:7]] += record["outside"]
+        for ix, iy, count in record["buckets"]:
+            held[key[:7]][Cell(ix, iy)] += count
+    found = {}
+    for source in sources:
+        key = f"s{source.number:06d}"
+        strays = find_strays(held[key], plan.meta.bucket, claimed_bounds(source.info), outside[key])
+        if strays != Strays():
+            found[source.number] = strays
+    return found
+
+
 def assemble_tasks(
-    plan: Plan, spooled: Mapping[str, tuple[str, dict[str, Any]]], fragments: Fragments
+    plan: Plan,
+    spooled: Mapping[str, tuple[str, dict[str, Any]]],
+    fragments: Fragments,
+    strays: Mapping[int, Strays],
 ) -> Iterator[Task]:
     """One for each group of neighbouring buckets."""
+
+    def bucket(cell: Cell) -> list[Any]:
+        sources = {int(piece[1:7]) for piece, _, _ in fragments[cell]} & strays.keys()
+        rules = [[n, strays[n].rule(plan.meta.bucket, cell)] for n in sorted(sources)]
+        rules = [rule for rule in rules if rule[1] is not None]
+        return [cell.ix, cell.iy, [list(f) for f in fragments[cell]], *([rules] if rules else [])]
+
     groups: dict[Cell, list[Cell]] = defaultdict(list)
     for cell in fragments:
         groups[Cell(cell.ix // GROUP, cell.iy // GROUP)].append(cell)
     flags, keep = skip_flags(plan), list(plan.config.keep_classes)
     for group in sorted(groups):
-        buckets = [[c.ix, c.iy, [list(f) for f in fragments[c]]] for c in sorted(groups[group])]
+        buckets = [bucket(c) for c in sorted(groups[group])]
         parents = [spooled[piece][0] for piece in sorted({f[0] for c in groups[group] for f in fragments[c]})]
         points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
         arguments = {"buckets": buckets, "keep_classes": keep, "skip_flags": flags}

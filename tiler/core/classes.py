@@ -19,7 +19,8 @@ WITHHELD_FLAG = 1
 SYNTHETIC_FLAG = 2
 OVERLAP_FLAG = 4
 KEY_POINT_FLAG = 8
-"""Bits of `PointBlock.flags`, the same for every point format."""
+STRAY_FLAG = 16
+"""Bits of `PointBlock.flags`, the same for every point format; strays are found by ingest."""
 
 
 def participates(

@@ -8,17 +8,21 @@ Before them, in one process: `find_inputs`, `inspect`, `agree`, `pieces`.
 from tiler.ingest.assemble import assemble_buckets
 from tiler.ingest.georeference import Agreement, Georeference, agree
 from tiler.ingest.requantise import bounds_in_counts
-from tiler.ingest.sources import SourceInfo, find_inputs, inspect, inspect_guarded, pieces
+from tiler.ingest.sources import SourceInfo, claimed_bounds, find_inputs, inspect, inspect_guarded, pieces
 from tiler.ingest.spool import spool_piece
+from tiler.ingest.strays import Strays, find_strays
 
 __all__ = [
     "Agreement",
     "Georeference",
     "SourceInfo",
+    "Strays",
     "agree",
     "assemble_buckets",
     "bounds_in_counts",
+    "claimed_bounds",
     "find_inputs",
+    "find_strays",
     "inspect",
     "inspect_guarded",
     "pieces",

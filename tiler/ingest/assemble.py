@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import WITHHELD_FLAG, participates
+from tiler.core.classes import STRAY_FLAG, WITHHELD_FLAG, participates
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT, PointBlock
 from tiler.ingest.spool import extent
+from tiler.ingest.strays import places, stray_mask
 from tiler.store import open_store
 
 
@@ -43,27 +44,32 @@ def assemble_buckets(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ----------
     store_url : str
     args : dict
-        ``buckets``: [[ix, iy, [[piece, start, stop], ...]], ...]; ``keep_classes`` (list of int) and
+        ``buckets``: [[ix, iy, [[piece, start, stop], ...], [[source, bounds], ...]], ...], the last one where a
+        source has strays outside of these bounds (see `tiler.ingest.strays`); ``keep_classes`` (list of int) and
         ``skip_flags`` (bits): what takes no part, see `tiler.core.classes.participates`.
 
     Returns
     -------
     dict
         ``buckets``: one dict each with ``cell`` [ix, iy], ``n``, ``n_candidates``, ``n_participating``,
-        ``duplicates`` {within, between}, ``z`` and ``bounds`` (of all points, see `spool.extent`),
-        ``z_participating`` ([lowest, highest] in counts, or None), ``classes`` {class: points}.
+        ``duplicates`` {within, between}, ``z`` and ``bounds`` (of all points but strays, see `spool.extent`),
+        ``strays`` ([source, row, x, y, z] each), ``z_participating`` ([lowest, highest] in counts, or None),
+        ``classes`` {class: points}.
     """
     store = open_store(store_url)
     meta = store.meta
     records = []
-    for ix, iy, fragments in args["buckets"]:
+    for ix, iy, fragments, *rules in args["buckets"]:
         cell = Cell(int(ix), int(iy))
         parts = [store.read_fragment(piece, int(start), int(stop)) for piece, start, stop in fragments]
         block = PointBlock.concatenate(parts)
+        strays = stray_mask(block, dict(rules[0]) if rules else {}, meta.frame.origin)
+        if strays.any() and block.flags is not None:
+            block = replace(block, flags=block.flags | (strays * np.uint8(STRAY_FLAG)))
         taking = _taking_part(block, args.get("keep_classes"), int(args.get("skip_flags", WITHHELD_FLAG)))
         found = bucket_order(block, taking, meta.frame, meta.bucket, meta.fine, cell)
         store.write_bucket(cell, block.take(found.order), found.n_candidates)
-        records.append(_record(cell, block, taking, found, meta.frame))
+        records.append(_record(cell, block, taking, strays, found, meta.frame))
     return {"buckets": records}
 
 
@@ -167,7 +173,12 @@ def _duplicates(
 
 
 def _record(
-    cell: Cell, block: PointBlock, taking: npt.NDArray[np.bool_], found: BucketOrder, frame: CoordFrame
+    cell: Cell,
+    block: PointBlock,
+    taking: npt.NDArray[np.bool_],
+    strays: npt.NDArray[np.bool_],
+    found: BucketOrder,
+    frame: CoordFrame,
 ) -> dict[str, Any]:
     z = block.xyz[2][taking]
     histogram = np.bincount(block.classification) if block.classification is not None else np.empty(0, int)
@@ -179,5 +190,6 @@ def _record(
         "duplicates": {"within": found.duplicates_within, "between": found.duplicates_between},
         "z_participating": [int(z.min()), int(z.max())] if z.size else None,
         "classes": {str(c): int(n) for c, n in enumerate(histogram.tolist()) if n},
-        **extent(block, frame),
+        "strays": places(block, strays, frame.origin),
+        **extent(block.take(~strays) if strays.any() else block, frame),
     }

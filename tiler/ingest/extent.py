@@ -36,7 +36,7 @@ class Extent:
     bounds : tuple of 6 float or None
         Lowest x, y, z, highest x, y, z in units of the CRS; None where there are no points.
     claimed : bool
-        They are the header's, and a sample of the points lies inside: a point outside of them is a stray.
+        They are the header's, whole, and a sample of the points lies inside: points outside of them are strays.
     note : str or None
         What people should know.
     """
@@ -78,7 +78,7 @@ def find_extent(header: LasHeader) -> Extent:
         )
     trimmed = claim.trimmed(near)
     if trimmed is not None:
-        claim = trimmed
+        claim, claimed = trimmed, False
         note = "a few of its points, or the bounds of its header, lie far from all others: the plan leaves them out"
     return Extent((*claim.low.tolist(), *claim.high.tolist()), claimed, note)
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import glob
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds
 from tiler.errors import ConfigError, InputError
 from tiler.ingest.extent import find_extent
 from tiler.ingest.georeference import Georeference, georeference
@@ -185,6 +188,18 @@ def inspect_guarded(guard: Guard, path: Path, salvage: bool = False) -> SourceIn
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a readable file") from error
     except Died as died:
         raise InputError(f"{path}: what reads it {died}; get the file again") from died
+
+
+def claimed_bounds(info: SourceInfo) -> Bounds | None:
+    """What the header of a source says it covers, in absolute counts, a unit wider: some writers round carelessly.
+
+    None where it is known not to be true.
+    """
+    if info.bounds is None or not info.claimed:
+        return None
+    x0, y0, _, x1, y1, _ = info.bounds
+    low = (math.floor((x0 - 1) * COUNTS_PER_UNIT), math.floor((y0 - 1) * COUNTS_PER_UNIT))
+    return Bounds(*low, *(math.ceil((v + 1) * COUNTS_PER_UNIT) for v in (x1, y1)))
 
 
 def pieces(info: SourceInfo, size: int = 1_000_000) -> list[tuple[int, int]]:

@@ -32,14 +32,15 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     store_url : str
     args : dict
         ``path`` (str), ``source`` (int, its id in this run), ``piece`` (str, name in the spool), ``start``
-        and ``count`` (records), ``bounds`` ([x0, y0, x1, y1] in absolute counts, or None), ``salvage``.
+        and ``count`` (records), ``bounds`` ([x0, y0, x1, y1] in absolute counts, or None), ``salvage``;
+        ``extent`` (as bounds: what the header says, or None).
 
     Returns
     -------
     dict
-        ``read``, ``stored``, ``dropped`` (reason to number), ``largest_rounding`` (CRS units), ``buckets``
-        ([[ix, iy, number], ...] in the order of the piece), ``bounds`` (half-open absolute counts, or None),
-        ``z`` ([lowest, highest] in counts, or None).
+        ``read``, ``stored``, ``outside`` (of those, outside of ``extent``), ``dropped`` (reason to number),
+        ``largest_rounding`` (CRS units), ``buckets`` ([[ix, iy, number], ...] in the order of the piece), ``bounds``
+        (half-open absolute counts, or None), ``z`` ([lowest, highest] in counts, or None).
 
     Raises
     ------
@@ -60,9 +61,12 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     block = block.take(order)
     if len(block):
         store.write_piece(args["piece"], block, index)
+    claimed = args.get("extent")
+    outside = () if claimed is None else ~block.inside(Bounds.from_json(claimed), frame.origin)
     return {
         "read": len(records),
         "stored": len(block),
+        "outside": int(np.count_nonzero(outside)),
         "dropped": dropped,
         "largest_rounding": rounding,
         "buckets": [list(entry) for entry in index],

@@ -50,6 +50,8 @@ class Outcome:
         Trying again could help. Where an executor yields it, that is what it does: this is not the last word.
     fatal : bool
         No other task could succeed either.
+    damaged : tuple of str
+        Objects of the store that it could not read.
     """
 
     task: Task
@@ -60,6 +62,7 @@ class Outcome:
     peak_rss_bytes: int = 0
     again: bool = False
     fatal: bool = False
+    damaged: tuple[str, ...] = ()
 
 
 TRIES = 3

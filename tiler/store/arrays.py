@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,23 +17,46 @@ from zarr.core.metadata import ArrayV3Metadata
 from zarr.errors import ContainsArrayError
 from zarr.storage import StorePath, WrapperStore
 
-from tiler.errors import StoreError
+from tiler.errors import DamagedError, StoreError
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind
 from tiler.store.storage import Storage, failed_write
 
 ZarrArray: TypeAlias = "zarr.Array[Any]"  # a string: older zarr 3.1 has no generic array
 
 
-class _Complete(WrapperStore[Any]):
-    """A store in which a missing chunk is an error: zarr would read it as the fill value."""
+class _Checked(WrapperStore[Any]):
+    """A store whose chunks are looked at before they are decoded.
+
+    A missing one is an error unless the array is sparse: zarr would read it as the fill value. One that says it
+    unpacks to something else than a chunk is an error, too: blosc would allocate what it says.
+    """
+
+    def __init__(self, store: Any, kind: ArrayKind) -> None:
+        super().__init__(store)
+        self._kind = kind
 
     async def get(
         self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
         value = await super().get(key, prototype, byte_range)
-        if value is None and not key.endswith("zarr.json"):
-            raise StoreError(f"{self._store}: {key} is missing; run again with --overwrite")
+        if key.endswith("zarr.json"):
+            return value
+        if value is None:
+            if self._kind.sparse:
+                return None
+            raise DamagedError(f"{self._store}: {key} is missing; run again, and it is made anew", (key,))
+        head = value[_UNPACKED].to_bytes()
+        if int.from_bytes(head, "little") != self._kind.chunk_bytes:
+            path = key.split("/c/")[0]
+            raise DamagedError(
+                f"{self._store}: {path} is damaged (a chunk of another size); run again, and it is made anew",
+                (key,),
+            )
         return value
+
+
+_UNPACKED = slice(4, 8)
+"""Where a blosc frame says how many bytes it unpacks to (C-Blosc, README_CHUNK_FORMAT)."""
 
 
 def create_array(
@@ -75,8 +97,8 @@ def find_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray | None
     data = storage.get(f"{path}/zarr.json")
     if data is None:
         return None
-    metadata = _checked(data, f"{storage.url}: {path}", kind)
-    store = storage.zarr_store if kind.sparse else _Complete(storage.zarr_store)
+    metadata = _checked(data, f"{storage.url}: {path}", path, kind)
+    store = _Checked(storage.zarr_store, kind)
     parsed = ArrayV3Metadata.from_dict(metadata)
     config: ArrayConfigParams = {"write_empty_chunks": not kind.sparse}
     return zarr.Array(zarr.AsyncArray(parsed, StorePath(store, path), config))
@@ -86,11 +108,11 @@ def open_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray:
     """The array at ``path``; raises StoreError where there is none, or a foreign one."""
     array = find_array(storage, path, kind)
     if array is None:
-        raise StoreError(f"{storage.url}: there is no {path}; run the stage that writes it first")
+        raise DamagedError(f"{storage.url}: there is no {path}; run the stage that writes it first", (path,))
     return array
 
 
-def _checked(data: bytes, where: str, kind: ArrayKind) -> dict[str, Any]:
+def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, Any]:
     """The metadata of an array if tiler could have written them."""
     try:
         metadata: dict[str, Any] = json.loads(data)
@@ -103,7 +125,9 @@ def _checked(data: bytes, where: str, kind: ArrayKind) -> dict[str, Any]:
         codecs = {codec["name"] for codec in metadata["codecs"]}
         transformers = metadata.get("storage_transformers")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise StoreError(f"{where}: its metadata are damaged; run again with --overwrite") from error
+        raise DamagedError(
+            f"{where}: its metadata are damaged; run again, and it is made anew", (path,)
+        ) from error
     wanted = {"zarr_format": 3, "node_type": "array", "data_type": kind.dtype, "chunks": kind.chunks}
     if found != wanted or transformers:
         raise StoreError(f"{where}: not an array that this version writes; run again with --overwrite")
@@ -114,28 +138,45 @@ def _checked(data: bytes, where: str, kind: ArrayKind) -> dict[str, Any]:
 
 
 def read(storage: Storage, array: ZarrArray, selection: Any) -> npt.NDArray[Any]:
-    """Values of an array; raises StoreError where a chunk is damaged or missing."""
-    with _damage(storage, array):
+    """Values of an array; raises DamagedError, which names the chunks, where some are damaged or missing."""
+    try:
         return np.asarray(array[selection])
+    except (ValueError, RuntimeError, DamagedError) as error:
+        raise _damage(storage, array, selection, error) from error
 
 
 def write(storage: Storage, array: ZarrArray, selection: Any, values: npt.NDArray[Any]) -> None:
     """Write whole chunks of an array; raises ProcessingError where the file system refuses."""
     try:
-        with _damage(storage, array):
-            array[selection] = values
+        array[selection] = values
     except OSError as error:
         raise failed_write(storage.url, array.path, error) from error
 
 
-@contextmanager
-def _damage(storage: Storage, array: ZarrArray) -> Iterator[None]:
-    # A wrong checksum is a ValueError of the crc32c codec, a chunk of another size one of the bytes codec,
-    # a broken frame a RuntimeError of blosc.
-    try:
-        yield
-    except (ValueError, RuntimeError) as error:
-        reason = str(error).split(". ")[0]
-        raise StoreError(
-            f"{storage.url}: {array.path} is damaged ({reason}); run again with --overwrite"
-        ) from error
+def _damage(storage: Storage, array: ZarrArray, selection: Any, error: Exception) -> DamagedError:
+    """The error that names the damaged chunks of a selection of slices.
+
+    A wrong checksum is a ValueError of the crc32c codec, a chunk of another size one of the bytes codec, a broken
+    frame a RuntimeError of blosc.
+    """
+    parts = selection if isinstance(selection, tuple) else (selection,)
+    parts = (*parts, *[slice(None)] * (array.ndim - len(parts)))
+    ranges = []
+    for part, length, chunk in zip(parts, array.shape, array.chunks, strict=True):
+        start, stop, _ = part.indices(length)
+        ranges.append(range(start // chunk, -(-stop // chunk)))
+    bad = []
+    for block in itertools.product(*ranges):
+        try:
+            array.blocks[block]
+        except (ValueError, RuntimeError, DamagedError):
+            bad.append(f"{array.path}/c/{'/'.join(map(str, block))}")
+    reason = (
+        str(error).split(". ")[0]
+        if not isinstance(error, DamagedError)
+        else "a chunk is missing or of another size"
+    )
+    return DamagedError(
+        f"{storage.url}: {array.path} is damaged ({reason}); run again, and it is made anew",
+        tuple(bad) or (array.path,),
+    )

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.errors import StoreError
+from tiler.errors import DamagedError, StoreError
 from tiler.store import layout
 from tiler.store.storage import Storage
 
@@ -68,6 +68,12 @@ class BucketIndex:
             self._place = {key: i for i, key in enumerate(cells)}
         i = self._place.get((cell.ix, cell.iy))
         return None if i is None else _bucket(self._table[i].tolist())
+
+    def owner(self, row: int) -> Cell | None:
+        """The cell whose bucket owns a row; None where it is nobody's."""
+        mine = (self._table[:, _ROW] <= row) & (row < self._table[:, _ROW] + self._table[:, _ROWS])
+        found = self._table[mine].tolist()
+        return Cell(found[0][_IX], found[0][_IY]) if found else None
 
     def published(self) -> Iterator[Bucket]:
         """All published buckets, row by row from the south-west."""
@@ -135,14 +141,19 @@ class BucketIndex:
 def current_index(storage: Storage) -> BucketIndex:
     """The index that was published last (kept by the process while it stays the same)."""
     for _ in range(5):
-        digest = storage.get_json(layout.INDEX_POINTER)
+        try:
+            digest = storage.get_json(layout.INDEX_POINTER)
+        except StoreError as error:
+            raise DamagedError(str(error), ("index",)) from error
         if digest is None:
             return BucketIndex.empty()
         index = _loaded(storage, digest)
         if index is not None:
             return index
         _loaded.cache_clear()  # replaced between the two reads: look again
-    raise StoreError(f"{storage.url}: its bucket index is missing; run again with --overwrite")
+    raise DamagedError(
+        f"{storage.url}: its bucket index is missing; run again, and it is made anew", ("index",)
+    )
 
 
 @lru_cache(maxsize=4)
@@ -151,7 +162,9 @@ def _loaded(storage: Storage, digest: str) -> BucketIndex | None:
     if data is None:
         return None
     if _digest(data) != digest:
-        raise StoreError(f"{storage.url}: its bucket index is damaged; run again with --overwrite")
+        raise DamagedError(
+            f"{storage.url}: its bucket index is damaged; run again, and it is made anew", ("index",)
+        )
     return BucketIndex(np.load(io.BytesIO(data), allow_pickle=False))
 
 

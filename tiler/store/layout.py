@@ -17,6 +17,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -66,6 +67,11 @@ class ArrayKind:
     sparse: bool = False
     item: int = 0
     level: int = 3
+
+    @property
+    def chunk_bytes(self) -> int:
+        """Bytes of a chunk before compression."""
+        return math.prod(self.chunks) * np.dtype(self.dtype).itemsize
 
     @property
     def shuffled(self) -> int:

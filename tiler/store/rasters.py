@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -53,6 +55,13 @@ def read_block(storage: Storage, array: arrays.ZarrArray, block: Block) -> npt.N
     if block.row < 0 or block.col < 0 or block.row + block.height > height or block.col + block.width > width:
         raise StoreError(f"{array.path}: block {block.name} reaches beyond {height} x {width} pixels")
     return arrays.read(storage, array, _window(block))
+
+
+def missing_blocks(storage: Storage, name: str, blocks: Iterable[Block]) -> list[Block]:
+    """Blocks for which no chunk is stored; lists the raster, row of chunks by row."""
+    folder = f"{layout.raster_path(name)}/c"
+    present = {(row, col) for row in storage.names(folder) for col in storage.names(f"{folder}/{row}")}
+    return [b for b in blocks if (str(b.row // RASTER_CHUNK), str(b.col // RASTER_CHUNK)) not in present]
 
 
 def _window(block: Block) -> tuple[slice, slice]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -180,6 +180,19 @@ class TileStore:
             self._labels[name] = arrays.open_array(self._storage, layout.labels_path(name), layout.LABELS)
         return self._labels[name]
 
+    def owner_of(self, row: int) -> Cell | None:
+        """The cell of the bucket that owns a row of the columns; None where it is nobody's."""
+        self.refresh()
+        return self._current().owner(row)
+
+    def forget(self, folder: str) -> None:
+        """Remove every object below a folder that is damaged as a whole (*coordinator*)."""
+        self._storage.delete_folder(folder)
+        self._points = points.PointColumns(self._storage, self.meta.has_rgb)
+        self._index = None
+        self._labels.clear()
+        self._rasters.clear()
+
     def refresh(self) -> None:
         """Look for an index that another process published since this object first read it."""
         self._index = index.current_index(self._storage)
@@ -236,6 +249,10 @@ class TileStore:
     def read_block(self, name: str, block: Block) -> npt.NDArray[np.float32]:
         """Any window of a raster; what was never written is the raster's fill."""
         return rasters.read_block(self._storage, self._raster(name), block)
+
+    def missing_blocks(self, name: str, blocks: Iterable[Block]) -> list[Block]:
+        """Those of some blocks that no chunk is stored for: they hold nothing but the fill, or are lost."""
+        return rasters.missing_blocks(self._storage, name, blocks)
 
     def _raster(self, name: str) -> arrays.ZarrArray:
         if name not in self._rasters:

@@ -103,7 +103,7 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
     assert record == {"buckets": [{
         "cell": [2, -1], "n": 4, "n_candidates": 1, "n_participating": 2, "duplicates": {"within": 0, "between": 1},
         "z_participating": [5, 5], "classes": {"1": 2, "2": 1, "7": 1},
-        "bounds": [180, -90, 183, -87], "z": [3, 5],
+        "bounds": [180, -90, 183, -87], "z": [3, 5], "strays": [],
     }]}  # fmt: skip
     written = memory_store.written[CELL]
     assert memory_store.candidates[CELL] == 1

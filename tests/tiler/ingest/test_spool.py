@@ -148,7 +148,7 @@ def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_a_piece_without_points_writes_nothing(make_cloud: Any, memory_store: Any) -> None:
     memory_store.meta.frame = CoordFrame(origin=ORIGIN)
     (record,) = spool(memory_store, make_cloud("a.las", n=10), bounds=[0, 0, 1, 1])
-    assert record == {"read": 10, "stored": 0, "dropped": {OUTSIDE_BOUNDS: 10}, "largest_rounding": 0.0,
+    assert record == {"read": 10, "stored": 0, "outside": 0, "dropped": {OUTSIDE_BOUNDS: 10}, "largest_rounding": 0.0,
                       "buckets": [], "bounds": None, "z": None}  # fmt: skip
     assert memory_store.pieces == {}
 

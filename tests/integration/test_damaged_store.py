@@ -1,0 +1,116 @@
+"""An object of the store that is damaged or gone is found, and what wrote it is done again: the bytes are the same."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.invariants import clouds
+from tests.invariants.runs import do, output_digests
+from tiler.errors import StoreError
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def bomb(path: Path) -> None:
+    """A chunk that says it unpacks to 2 GB, with a checksum that fits."""
+    google_crc32c = pytest.importorskip("google_crc32c", reason="the checksums of zarr")
+
+    data = bytearray(path.read_bytes()[:-4])
+    struct.pack_into("<I", data, 4, 2_000_000_000)
+    path.write_bytes(bytes(data) + struct.pack("<I", google_crc32c.value(bytes(data))))
+
+
+DAMAGES: dict[str, Callable[[Path], None]] = {"gone": Path.unlink, "flipped": flip, "bomb": bomb}
+CHUNKS = {
+    "points": ("points/xyz/c/*/0/0", {"spool": 0}),
+    "origins": ("points/origin/c/*/0/0", {"spool": 0}),
+    "labels": ("labels/labels/c/*/0/0", {"spool": 0, "assemble": 0}),
+    "raster": ("rasters/dtm/c/*/*", {"spool": 0, "assemble": 0, "filter0": 0, "grid-dtm": 1}),
+}
+WHOLE = {
+    "index": "index/*.npy",
+    "index pointer": "index/current.json",
+    "column": "points/attributes/zarr.json",
+    "all labels": "labels/labels/zarr.json",
+    "the raster": "rasters/dtm/zarr.json",
+}
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(150.0, 1.5))
+
+
+@pytest.fixture(scope="module")
+def whole(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("whole") / "out"
+    do(cloud, out)
+    return out
+
+
+@pytest.fixture
+def out(whole: Path, tmp_path: Path) -> Path:
+    """A finished run without its files, so that they are made from the store again."""
+    shutil.copytree(whole, tmp_path / "out")
+    (tmp_path / "out" / "dtm.tif").unlink()
+    shutil.rmtree(tmp_path / "out" / "classified")
+    return tmp_path / "out"
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("kind", CHUNKS)
+def test_a_damaged_chunk_is_made_again(kind: str, damage: str, cloud: Path, whole: Path, out: Path) -> None:
+    pattern, redone = CHUNKS[kind]
+    DAMAGES[damage](max((out / "store.zarr").glob(pattern), key=lambda p: p.stat().st_size))
+    # A new resolution needs the labels and points again, which the files alone may not.
+    result = do(cloud, out)
+    assert result.exit_code == 0
+    assert output_digests(out) == output_digests(whole)
+    for stage, tasks in redone.items():
+        assert result.summary["stages"][stage]["computed"] == tasks
+
+
+@pytest.mark.parametrize("kind", WHOLE)
+def test_what_is_damaged_as_a_whole_is_made_again(kind: str, cloud: Path, whole: Path, out: Path) -> None:
+    flip(next((out / "store.zarr").glob(WHOLE[kind])))
+    result = do(cloud, out)
+    assert result.exit_code == 0
+    assert output_digests(out) == output_digests(whole)
+    assert result.summary["stages"]["spool"]["computed"] == 0
+
+
+def test_a_damaged_spool_is_decoded_again(cloud: Path, whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    do(cloud, out, until="ingest")
+    shutil.rmtree(out / "store.zarr" / "commits" / "assemble")
+    flip(max((out / "store.zarr" / "spool").rglob("c/*/0"), key=lambda p: p.stat().st_size))
+    result = do(cloud, out)
+    assert result.summary["healed"]
+    assert output_digests(out) == output_digests(whole)
+
+
+def test_a_disk_that_damages_everything_ends_the_run(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tiler.store import points
+
+    write = points.write_rows
+
+    def damaging(storage, array, bucket, values):  # type: ignore[no-untyped-def]
+        write(storage, array, bucket, values)
+        for path in Path(storage.url, array.path, "c").rglob("0"):
+            if path.is_file():
+                flip(path)
+
+    monkeypatch.setattr(points, "write_rows", damaging)
+    with pytest.raises(StoreError, match="damaged or gone; run again"):
+        do(cloud, tmp_path / "out")

@@ -1,0 +1,125 @@
+"""Points that belong to nothing: nearly alone and far from the rest of their file, or outside of its bounds.
+
+A stray is not filtered, makes no raster wider, keeps its class and is written back. Each file is judged by itself and
+whole, so tiles do not show; another file, or an island of more than a handful of points, is data wherever it lies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.points import PointBlock, unpack_origin
+from tiler.ingest.extent import FAR
+
+FEW = 10
+SHARE = 1000
+"""Strays are at most so few, and at most one in so many of their file."""
+
+
+@dataclass(frozen=True)
+class Strays:
+    """Those of one source.
+
+    Attributes
+    ----------
+    alone : frozenset of Cell
+        Buckets in which every point of the source is one.
+    extent : Bounds or None
+        A point of the source outside of it is one.
+    """
+
+    alone: frozenset[Cell] = frozenset()
+    extent: Bounds | None = None
+
+    def rule(self, lattice: Lattice, cell: Cell) -> list[int] | None:
+        """Bounds outside of which a point of a bucket is a stray (empty ones: each of them); None where none is."""
+        if cell in self.alone:
+            return [0, 0, 0, 0]
+        if self.extent is None:
+            return None
+        bounds = lattice.bounds(cell)
+        return None if bounds.union(self.extent) == self.extent else self.extent.to_json()
+
+
+def few(number: int, total: int) -> bool:
+    """Whether so many of a file's points can be strays."""
+    return number <= FEW and number * SHARE <= total
+
+
+def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | None, outside: int) -> Strays:
+    """The strays of one source.
+
+    Parameters
+    ----------
+    buckets : mapping of Cell to int
+        Its points in each bucket.
+    lattice : Lattice
+        Of the buckets.
+    extent : Bounds, optional
+        That its header gives, in absolute counts.
+    outside : int
+        Its points outside of that extent: where they are many, the header is wrong, not the points.
+    """
+    total = sum(buckets.values())
+    alone: set[Cell] = set()
+    parts = _parts(buckets, lattice)
+    largest = max(parts, key=lambda part: sum(buckets[c] for c in part), default=[])
+    for part in parts:
+        if part is not largest and few(sum(buckets[c] for c in part), total):
+            alone.update(part)
+    return Strays(frozenset(alone), extent if outside and few(outside, total) else None)
+
+
+def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
+    """Buckets in parts that lie at least `FAR` from one another: cells of that size with an empty one between."""
+    far = Lattice(Fraction(int(FAR * COUNTS_PER_UNIT)))
+    wide: dict[tuple[int, int], list[Cell]] = {}
+    for cell in sorted(buckets):
+        bounds = lattice.bounds(cell)
+        wide.setdefault((far.index_of(bounds.x0), far.index_of(bounds.y0)), []).append(cell)
+    parts: list[list[Cell]] = []
+    left = set(wide)
+    for seed in wide:
+        if seed not in left:
+            continue
+        left.discard(seed)
+        reached, part = [seed], []
+        while reached:
+            x, y = reached.pop()
+            part += wide[x, y]
+            near = {(x + i, y + j) for i in (-1, 0, 1) for j in (-1, 0, 1)} & left
+            left -= near
+            reached += near
+        parts.append(part)
+    return parts
+
+
+def stray_mask(
+    block: PointBlock, rules: Mapping[int, list[int]], origin: tuple[int, int]
+) -> npt.NDArray[np.bool_]:
+    """Mask of the strays of a bucket, given the bounds of each source that has some (see `Strays.rule`)."""
+    mask = np.zeros(len(block), dtype=np.bool_)
+    if not rules or block.origin is None:
+        return mask
+    sources = unpack_origin(block.origin)[0]
+    for source, bounds in rules.items():
+        mask |= (sources == source) & ~block.inside(Bounds.from_json(bounds), origin)
+    return mask
+
+
+def places(block: PointBlock, strays: npt.NDArray[np.bool_], origin: tuple[int, int]) -> list[list[Any]]:
+    """Source, row, x, y, z (units of the CRS) of each stray."""
+    if block.origin is None or not strays.any():
+        return []
+    sources, rows = unpack_origin(block.origin[strays])
+    x, y, z = block.xyz[:, strays].astype(np.int64) + np.array([[origin[0]], [origin[1]], [0]])
+    columns = (sources, rows, x / COUNTS_PER_UNIT, y / COUNTS_PER_UNIT, z / COUNTS_PER_UNIT)
+    return [list(line) for line in zip(*(c.tolist() for c in columns), strict=True)]
