@@ -45,14 +45,15 @@ class ClusterLimits(NamedTuple):
 @kernel
 def _sides(vertices: Int32Array, facet: Int32Array, z_ratio: float) -> tuple[float, float, float]:
     """Squared sides of a facet in space, growing; the same bits in whatever order the corners come."""
-    found = np.empty(3, np.float64)
+    short, middle, longest = np.inf, np.inf, -np.inf
     for k in range(3):
         a, b = facet[k], facet[(k + 1) % 3]
         dx, dy = float(vertices[a, 0] - vertices[b, 0]), float(vertices[a, 1] - vertices[b, 1])
         dz = float(vertices[a, 2] - vertices[b, 2]) * z_ratio
-        found[k] = dx * dx + dy * dy + dz * dz
-    found.sort()
-    return found[0], found[1], found[2]
+        side = dx * dx + dy * dy + dz * dz
+        middle = max(min(side, middle), short)
+        short, longest = min(side, short), max(side, longest)
+    return short, middle, longest
 
 
 @kernel

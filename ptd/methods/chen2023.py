@@ -269,16 +269,13 @@ class ChenModel(Model):
         self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: Doubt
     ) -> npt.NDArray[np.intp]:
         """Step 4: the points that are noise among the seeds; what is not certain about it is put in doubt."""
-        xy = np.concatenate([np.stack([x[seeds], y[seeds]], axis=1), ring[:, :2]])
-        # Vertices have no positions in common, nor have the seeds, one a cell, and the ring, in cells without seeds.
-        number = np.empty(tin.n_vertices, np.intp)
-        number[np.lexsort(tin.vertices[:, :2].T)] = np.lexsort(xy.T)
+        vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
+        # No two seeds share a position, nor does one with the ring: the ring lies in cells without seeds.
+        real = ~_among(_keys(vx, vy), _keys(ring[:, 0], ring[:, 1]))
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
-        real = number < seeds.size
         noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), in_doubt)
-        vertices = tin.vertices
-        doubt.add_points(np.ascontiguousarray(vertices[:, 0]), np.ascontiguousarray(vertices[:, 1]), unsure)
-        return seeds[number[noise]]
+        doubt.add_points(vx, vy, unsure)
+        return seeds[_among(_keys(x[seeds], y[seeds]), _keys(vx[noise], vy[noise]))]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Labels and marks of points of the window."""
@@ -289,6 +286,19 @@ class ChenModel(Model):
         below, _ = outside(points.xyz[2], self._scale, self._tails)
         labels[below & (labels != GROUND)] = LOW_NOISE
         return labels, marked
+
+
+def _keys(x: Int32, y: Int32) -> npt.NDArray[np.int64]:
+    """One number for each position."""
+    return (x.astype(np.int64) << 32) + y
+
+
+def _among(keys: npt.NDArray[np.int64], few: npt.NDArray[np.int64]) -> Bool:
+    """Which of many keys are among a few."""
+    ordered = np.sort(few)
+    place = np.searchsorted(ordered, keys)
+    found: Bool = np.append(ordered, 0)[place] == keys
+    return found & (place < ordered.size)
 
 
 def _triangulate(x: Int32, y: Int32, z: Int32, seeds: Bool, ring: Int32) -> Tin:
