@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -109,6 +111,7 @@ def _label(
     limits: Limits,
     floor: float,
     vertices_only: bool,
+    heights_only: bool,
     labels: UInt8,
     marked: npt.NDArray[np.bool_],
 ) -> None:
@@ -121,8 +124,32 @@ def _label(
         ):
             labels[i], marked[i] = 1, in_doubt[t] != 0
             continue
+<<<<<<< HEAD
         terrain, _elsewhere, marked[i] = is_terrain(
             vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
+=======
+        v = coincident_vertex(vertices, triangles, x[i], y[i], t)
+        if v >= 0:
+            if abs(float(z[i] - vertices[4 * v + 2])) * limits.z_ratio <= floor:
+                labels[i] = 2
+            continue
+        if vertices_only:
+            continue
+        if in_doubt[across(vertices, triangles, t, x[i], y[i])] != 0:
+            marked[i] = True
+        measures = facet_measures(vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio)
+        if heights_only:
+            if abs(measures[0]) <= floor * math.sqrt(
+                measures[2]
+            ):  # the height above the facet times its cosine
+                labels[i] = 2
+            continue
+        if abs(measures[0]) <= floor:
+            labels[i] = 2
+            continue
+        passed, _mirrored, unsure = judge(
+            vertices, triangles, t, x[i], y[i], z[i], measures, limits, in_doubt
+>>>>>>> 372ca6d (Method rarefy for comparison; figures and certificate of chen2023)
         )
         labels[i] = 2 if terrain else 1
 
@@ -137,6 +164,7 @@ def label_points(
     limits: Limits,
     floor: float,
     vertices_only: bool = False,
+    heights_only: bool = False,
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Ground or not, against the finished TIN.
 
@@ -158,6 +186,8 @@ def label_points(
         Horizontal counts.
     vertices_only : bool
         Without a last pass: only what lies on a vertex, at its height, is ground.
+    heights_only : bool
+        Ground is what lies no more than ``floor`` above or below the TIN, measured upright, whatever its angle.
 
     Returns
     -------
@@ -172,7 +202,7 @@ def label_points(
         g = locator
         _label(
             tin.vertex_array, tin.triangle_array, x, y, z, g.grid, g.west, g.south, g.cell, g.height, g.width,
-            in_doubt, limits, floor, vertices_only, labels, marked,
+            in_doubt, limits, floor, vertices_only, heights_only, labels, marked,
         )  # fmt: skip
     return labels, marked
 
@@ -225,7 +255,7 @@ class Terrain:
     limits : Limits
     floor : float
         See `label_points`.
-    vertices_only : bool
+    vertices_only, heights_only : bool
         See `label_points`.
     """
 
@@ -237,16 +267,18 @@ class Terrain:
         limits: Limits,
         floor: float,
         vertices_only: bool = False,
+        heights_only: bool = False,
     ) -> None:
         self.tin, self._in_doubt, self._low, self._limits = tin, in_doubt, low, limits
-        self._floor, self._vertices_only = floor, vertices_only
+        self._floor, self._vertices_only, self._heights_only = floor, vertices_only, heights_only
         self._locator = Locator(tin)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """ASPRS classes (uint8 [n]) and marks (bool [n]) of points, in any order."""
         x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
         labels, marked = label_points(
-            self.tin, self._locator, x, y, z, self._in_doubt, self._limits, self._floor, self._vertices_only
-        )
+            self.tin, self._locator, x, y, z, self._in_doubt, self._limits, self._floor,
+            self._vertices_only, self._heights_only,
+        )  # fmt: skip
         labels[(labels != GROUND) & self._low.holds(x, y, z)] = LOW_NOISE
         return labels, marked

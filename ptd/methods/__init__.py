@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ptd.methods import chen2023, classic, dong2017, dong2018, ridge2016
+from ptd.methods import chen2023, classic, dong2017, dong2018, rarefy, ridge2016
 from ptd.params import parse
 from ptd.passes import Method
 
@@ -15,6 +15,7 @@ METHODS: dict[str, Method] = {
         chen2023.METHOD,
         dong2017.METHOD,
         dong2018.METHOD,
+        rarefy.METHOD,
         ridge2016.METHOD,
     )
 }

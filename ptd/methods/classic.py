@@ -48,6 +48,7 @@ from ptd.methods.progressive import Progressive
 from ptd.outliers import low_outliers
 from ptd.params import parameter
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
+from ptd.tin.mesh import Tin
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Classic(Progressive):
     )
 
     @property
-    def passes(self) -> tuple[ClassicPass, ...]:
+    def passes(self) -> tuple[Pass, ...]:
         """One pass: everything is local."""
         return (ClassicPass(self),)
 
@@ -117,9 +118,14 @@ class ClassicModel(Model):
             x, y, z, outlier, seed_cells, self.limits, p.rounds, known, scale
         )
         low = LowNoise(x[outlier], y[outlier], z[outlier], self.cells)
-        floor = scale.counts(p.label_floor_m) if p.label_pass else 0.0
-        self.terrain = Terrain(tin, in_doubt, low, self.limits, floor, vertices_only=not p.label_pass)
+        self.terrain = self._terrain(tin, in_doubt, low)
         self.stats.update(rounds=rounds, low_outliers=int(outlier.sum()), vertices=tin.n_vertices)
+
+    def _terrain(self, tin: Tin, in_doubt: UInt8, low: LowNoise) -> Terrain:
+        """How the finished TIN labels."""
+        p = self.params
+        floor = self.scale.counts(p.label_floor_m) if p.label_pass else 0.0
+        return Terrain(tin, in_doubt, low, self.limits, floor, vertices_only=not p.label_pass)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Labels and marks of points of the window."""

@@ -103,3 +103,11 @@ def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
     )  # fmt: skip
     assert low.holds(*points).tolist() == [True, False, True, True, False, False, False, False]
     assert not LowNoise(*columns(), cells).holds(*points).any()
+
+
+@pytest.mark.parametrize(("height", "ground"), [(300, True), (301, False), (-300, True), (-301, False)])
+def test_heights_only_neither_angle_nor_iteration_distance_counts(height: int, ground: bool) -> None:
+    """On a slope of 3 in 4 a height of 300 is 240 from the facet; 400 would be within the angle far from corners."""
+    slope = Tin.build([0, 40_000, 0, 40_000], [0, 0, 40_000, 40_000], [0, 30_000, 0, 30_000])
+    assert label(slope, [(20_000, 13_000, 15_000 + height)], heights_only=True)[0] == [2 if ground else 1]
+    assert label(slope, [(20_000, 13_000, 15_400)])[0] == [2]

@@ -1,0 +1,75 @@
+"""``rarefy``: thin the cloud, densify progressively, and take for ground what is near the DTM in height.
+
+What Dong et al. (2018) argue against (paper 000, section 1), for comparison: others "rarefied the point clouds", "used
+the PTD algorithm to obtain the ground points and construct the digital terrain model", and took for ground what lies
+nearer to it than a threshold. Thinning loses features of the terrain, they say, and the threshold is hard to choose.
+Composed of the parts of `classic`.
+
+===================  ==============================  =======  ====================================================
+parameter            paper's name and value          default  reason
+===================  ==============================  =======  ====================================================
+thin_cell            rarefied to the density of      1 m      a point a square metre, as in sparse laser scanning
+                     its laser scan; no value
+label_floor          a given threshold, no value     0.5 m    above the noise of image matching (three to five times
+                                                              0.1 m), below most objects
+max_building_size,   those of PTD: grid 30, terrain  as       the TIN is that of `classic`
+angles, distances    angle 88, angle 6, distance     classic
+                     1.4 or 0.8
+===================  ==============================  =======  ====================================================
+
+Thinning keeps the lowest point of a cell (the paper does not say which); the DTM is the TIN of the ground found; the
+distance to it is upright and counts above and below. ``label_pass`` off leaves the last step out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ptd.certify import UInt8
+from ptd.frame import Scale, Window
+from ptd.labelling import LowNoise, Terrain
+from ptd.methods.classic import Classic, ClassicModel
+from ptd.params import parameter
+from ptd.passes import Method, Pass, Points, State
+from ptd.tin.mesh import Tin
+
+
+@dataclass(frozen=True)
+class Rarefy(Classic):
+    """Parameters of `rarefy`; see the module's table."""
+
+    label_floor_m: float = parameter(
+        0.5, "ground is what lies no more than this above or below the DTM", unit="m", minimum=0.0, maximum=10.0,
+        source="000 1",
+    )  # fmt: skip
+
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        """One pass: everything is local."""
+        return (RarefyPass(self),)
+
+
+@dataclass(frozen=True)
+class RarefyPass(Pass):
+    """The one pass: `classic`'s TIN of the thinned cloud, another labelling."""
+
+    params: Rarefy
+    name: str = "rarefy"
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> RarefyModel:
+        """Densify the window's TIN."""
+        return RarefyModel(self.params, points.xyz, window, scale)
+
+
+class RarefyModel(ClassicModel):
+    """A window's finished TIN, which labels by height alone."""
+
+    def _terrain(self, tin: Tin, in_doubt: UInt8, low: LowNoise) -> Terrain:
+        p = self.params
+        floor = self.scale.counts(p.label_floor_m) if p.label_pass else 0.0
+        return Terrain(tin, in_doubt, low, self.limits, floor, not p.label_pass, heights_only=True)
+
+
+METHOD = Method(
+    "rarefy", "thinning, classic's TIN, then a height above it; for comparison (Dong 2018, section 1)", Rarefy
+)
