@@ -16,8 +16,6 @@ from tiler.simulate import DemoScene, demo_city
 RESOLUTION_M = Fraction(1)
 """Of the true terrain, with which the DTM is compared pixel by pixel."""
 
-LARGEST_ROOF_M = "60"
-
 
 @dataclass(frozen=True)
 class DemoResult:
@@ -65,9 +63,6 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
     listener("note", {"text": f"simulating a city of seed {seed} in {out / 'input'}"})
     scene = demo_city(out / "input", seed)
     config = config.updated(resolution=RESOLUTION_M)
-    if config.method == "classic" and not config.parameters:
-        listener("note", {"text": f"max_building_size {LARGEST_ROOF_M} m, since the city has a hall of 50 m"})
-        config = config.updated(parameters=(("max_building_size_m", LARGEST_ROOF_M),))
     result = run([str(path) for path in scene.paths], str(out), config, listener)
     return DemoResult(
         result.summary,

@@ -126,6 +126,14 @@ _ALL = (
               231, 120.0),
     SceneSpec("dim_area_suburb", "dim", "a suburb at 40 points/m2, sigma 0.066, blunders 0.05 %", "dim area",
               "suburb", 232, 120.0),
+    SceneSpec("als_village", "als", "houses and dug-in garages on a slope of 15 degrees, fields, a gully",
+              "als village", "village", 181, 200.0, {"density": 5.0}),
+    SceneSpec("als_park", "als", "meadows, hedges, groups of trees at 10 points/m2", "als park", "park",
+              182, 180.0, {"density": 10.0, "sigma_m": 0.02}),
+    SceneSpec("dim_mountain", "dim", "wooded ridges and a settlement, hardly any ground seen below the wood",
+              "dim mountain", "mountain", 241, 180.0, {"density": 15.0}),
+    SceneSpec("dim_drone", "dim", "a suburb matched from a drone: 80 points/m2, sigma 0.02, sharper edges",
+              "dim drone", "suburb", 242, 100.0, {"density": 80.0, "sigma_m": 0.02, "edge_m": 0.15}),
 )  # fmt: skip
 
 SCENES: dict[str, SceneSpec] = {spec.name: spec for spec in _ALL}
