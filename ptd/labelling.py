@@ -95,6 +95,31 @@ def is_terrain(
 
 
 @kernel
+def _is_near(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    in_doubt: UInt8,
+    limits: Limits,
+    floor: float,
+) -> tuple[bool, bool]:
+    """Whether a point in triangle t, which may be a ghost, lies near it in height, and whether that is doubtful."""
+    doubtful = in_doubt[t] != 0
+    if is_ghost(triangles, t):
+        return False, doubtful
+    v = coincident_vertex(vertices, triangles, x, y, t)
+    if v >= 0:
+        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, doubtful
+    doubtful = doubtful or in_doubt[across(vertices, triangles, t, x, y)] != 0
+    distance, _nearest, cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
+    # The distance to a facet is the height above it times the cosine of its slope.
+    return abs(distance) <= floor * math.sqrt(cos2), doubtful
+
+
+@kernel
 def _label(
     vertices: Int32Array,
     triangles: Int32Array,
@@ -124,33 +149,12 @@ def _label(
         ):
             labels[i], marked[i] = 1, in_doubt[t] != 0
             continue
-<<<<<<< HEAD
-        terrain, _elsewhere, marked[i] = is_terrain(
-            vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
-=======
-        v = coincident_vertex(vertices, triangles, x[i], y[i], t)
-        if v >= 0:
-            if abs(float(z[i] - vertices[4 * v + 2])) * limits.z_ratio <= floor:
-                labels[i] = 2
-            continue
-        if vertices_only:
-            continue
-        if in_doubt[across(vertices, triangles, t, x[i], y[i])] != 0:
-            marked[i] = True
-        measures = facet_measures(vertices, triangles, t, x[i], y[i], z[i], limits.z_ratio)
         if heights_only:
-            if abs(measures[0]) <= floor * math.sqrt(
-                measures[2]
-            ):  # the height above the facet times its cosine
-                labels[i] = 2
-            continue
-        if abs(measures[0]) <= floor:
-            labels[i] = 2
-            continue
-        passed, _mirrored, unsure = judge(
-            vertices, triangles, t, x[i], y[i], z[i], measures, limits, in_doubt
->>>>>>> 372ca6d (Method rarefy for comparison; figures and certificate of chen2023)
-        )
+            terrain, marked[i] = _is_near(vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor)
+        else:
+            terrain, _elsewhere, marked[i] = is_terrain(
+                vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
+            )
         labels[i] = 2 if terrain else 1
 
 
