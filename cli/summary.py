@@ -9,7 +9,7 @@ from typing import Any
 from tiler.core.products import PRODUCTS
 from tiler.observe.progress import duration_text, rate_text
 
-_OTHERS = [f"{name}.tif" for name in PRODUCTS if name != "dtm"]
+_RASTERS = {f"{name}.{kind}" for name in PRODUCTS for kind in ("tif", "vrt")}
 
 
 def size_text(size: float) -> str:
@@ -43,13 +43,13 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     if "filter" in summary:
         facts = summary["filter"]
         lines.append(f"ground      {facts['ground']:,} points, in {facts['tiles']:,} tiles" + _marked(facts))
-    if "dtm.tif" in summary.get("outputs", {}):
+    rasters = [name for name in summary.get("outputs", {}) if name in _RASTERS]
+    for name in rasters[:1]:
         facts = summary["dtm"]
         size = f"{facts['width']:,} x {facts['height']:,} pixels of {facts['resolution_m']:g} m"
-        lines.append(f"DTM         {Path(out) / 'dtm.tif'}, {size}")
-    others = [name for name in summary.get("outputs", {}) if name in _OTHERS]
-    if others:
-        lines.append(f"products    {', '.join(str(Path(out) / name) for name in others)}")
+        lines.append(f"{name.split('.')[0].upper():12s}{Path(out) / name}, {size}")
+    if rasters[1:]:
+        lines.append(f"products    {', '.join(str(Path(out) / name) for name in rasters[1:])}")
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
     lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
     lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")

@@ -37,6 +37,9 @@ class RunConfig:
     )
     products: tuple[str, ...] = setting(("dtm",), "rasters to write, each as OUT/<name>.tif: " + ", ".join(PRODUCTS),
                                         kind="names", choices=tuple(PRODUCTS))  # fmt: skip
+    sheets: Fraction | None = setting(None, "side of the sheets into which each product is cut: files "
+                                      "OUT/<name>/<name>_<x>_<y>.tif below OUT/<name>.vrt; default: one file", unit="m",
+                                      kind="length")  # fmt: skip
     resolution: Fraction | None = setting(None, "pixel size; default 1 m, or the spacing of the ground where that "
                                           "is coarser", unit="m", kind="length")  # fmt: skip
     tile_size: Fraction | None = setting(None, "side of a filter tile; default from density and memory",

@@ -432,6 +432,12 @@ def refuse(plan: Plan, out: Path | None) -> None:
             f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units "
             "is too odd a fraction; give it in the unit of the CRS"
         )
+    sheets = plan.config.sheets
+    if sheets is not None and (sheets / plan.resolution).denominator != 1:
+        raise ConfigError(
+            f"--sheets {float(sheets):g} m: no whole number of pixels of {float(plan.resolution):g} m; "
+            f"use --sheets {float(max(round(sheets / plan.resolution), 1) * plan.resolution):g} or another --resolution"
+        )
     if plan.extent.empty:
         raise ConfigError("--bounds: holds no place")
     existing = None if out is None else next(p for p in (out, *out.resolve().parents) if p.exists())

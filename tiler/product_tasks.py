@@ -6,12 +6,10 @@ Besides the products there are rasters that only the store holds: ``occupancy`` 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 from tiler import __version__
@@ -19,7 +17,6 @@ from tiler.config import RunConfig
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import Block, RasterSpec
-from tiler.export import write_cog
 from tiler.grid import (
     density_block,
     derive_block,
@@ -190,7 +187,7 @@ def _survey_task(g: Gridding) -> Iterator[Task]:
         "name": "survey", "spec": coarse.to_json(), "occupancy": "occupancy",
         "bridge": float(g.plan.config.max_edge / g.coarse_m),
     }  # fmt: skip
-    digest = digest_of(__version__, arguments, _checksums(g.made["occupancy"]))
+    digest = digest_of(__version__, arguments, checksums(g.made["occupancy"]))
     yield Task("grid-survey", WHOLE, digest, survey_raster, arguments, coarse.height * coarse.width)
 
 
@@ -199,7 +196,7 @@ def _voids_task(name: str, g: Gridding) -> Iterator[Task]:
     arguments = {
         "name": name, "heights": model, "spec": spec.to_json(), "survey": "survey", "coarse": g.coarse.to_json(),
     }  # fmt: skip
-    digest = digest_of(__version__, arguments, _checksums(g.made[model]), _checksums(g.made["survey"]))
+    digest = digest_of(__version__, arguments, checksums(g.made[model]), checksums(g.made["survey"]))
     yield Task(f"grid-{name}", WHOLE, digest, find_voids, arguments, spec.height * spec.width)
 
 
@@ -217,7 +214,7 @@ def _fill_tasks(name: str, g: Gridding) -> Iterator[Task]:
     for block in spec.blocks(GRID_BLOCK):
         bounds = spec.block_bounds(block)
         mine = [number for number, cover in enumerate(covers) if cover.overlaps(bounds)]
-        seen = [_checksums(g.made["survey"]), _checksums(found) if mine else []]
+        seen = [checksums(g.made["survey"]), checksums(found) if mine else []]
         reach = [covers[number].pad(2 * pixel) for number in mine] + [bounds]
         for other in spec.blocks(GRID_BLOCK):
             key = other.name
@@ -234,7 +231,7 @@ def _mask_tasks(g: Gridding) -> Iterator[Task]:
         "name": "mask", "spec": spec.to_json(), "dtm": "dtm", "filled": heights, "survey": "survey",
         "coarse": g.coarse.to_json(), **ground_arguments(g.plan),
     }  # fmt: skip
-    survey = _checksums(g.made["survey"])
+    survey = checksums(g.made["survey"])
     erode = math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))
     for block in spec.blocks(GRID_BLOCK):
         arguments = {**common, "block": _of_block(block)}
@@ -260,7 +257,8 @@ def _derived_tasks(name: str, g: Gridding) -> Iterator[Task]:
         yield Task(f"grid-{name}", block.name, digest, derive_block, arguments, block.height * block.width)
 
 
-def _checksums(commits: Commits) -> list[list[str]]:
+def checksums(commits: Commits) -> list[list[str]]:
+    """Of the blocks of a raster."""
     return [[key, record["checksum"]] for key, (_, record) in sorted(commits.items())]
 
 
@@ -272,28 +270,3 @@ def _around(commits: Commits, block: Block) -> list[list[str]]:
         for right in (-GRID_BLOCK, 0, GRID_BLOCK)
     ]
     return [[key, commits[key][1]["checksum"]] for key in near if key in commits]
-
-
-def cog_task(g: Gridding, inputs: str, out: Path, name: str) -> Task:
-    """The raster as a file."""
-    plan, raster, spec = g.plan, final(name, g.plan.config), g.spec
-    arguments = {
-        "name": name, "raster": raster, "product": name, "spec": spec.to_json(), "out": str(out),
-        "compress": plan.config.compress,
-        "tags": {
-            "TILER_VERSION": __version__, "TILER_METHOD": plan.config.method,
-            "TILER_PARAMETERS": json.dumps(plan.parameters, sort_keys=True),
-            "TILER_GRID": json.dumps(grid_settings(plan), sort_keys=True), "TILER_INPUTS": inputs,
-        },
-    }  # fmt: skip
-    digest = digest_of(arguments, _checksums(g.made[raster]))
-    return Task("export", f"{name}.tif", digest, write_cog, arguments, spec.height * spec.width)
-
-
-def grid_settings(plan: Plan) -> dict[str, Any]:
-    """What made the rasters of the ground points, for their tags; lengths in metres."""
-    config = plan.config
-    return {
-        "interpolation": config.interpolation, "surface": config.surface, "erode_m": float(config.erode),
-        "max_edge_m": float(config.max_edge), "voids": config.voids, "spike_m": float(config.spike),
-    }  # fmt: skip

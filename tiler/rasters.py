@@ -13,9 +13,10 @@ from tiler.core.lattice import Cell
 from tiler.core.products import MASK_VALUES
 from tiler.core.raster import RasterSpec
 from tiler.errors import ProcessingError
+from tiler.file_tasks import cog_tasks, mosaic_tasks
 from tiler.job import Commits, Job
 from tiler.plan import GRID_BLOCK, KEEP
-from tiler.product_tasks import WHOLE, Gridding, cog_task, exported, raster_tasks, wanted
+from tiler.product_tasks import WHOLE, Gridding, raster_tasks, wanted
 from tiler.schedule import Task, digest_of
 from tiler.tasks import Assembled, Source, classified_tasks
 
@@ -76,26 +77,38 @@ def export(
     job: Job, gridding: Gridding, sources: list[Source], spooled: Commits, labels: dict[Cell, str]
 ) -> None:
     """The files that people open."""
-    out = job.out.resolve()
+    out, config = job.out.resolve(), job.plan.config
     digest = digest_of(sorted(source.content for source in sources))
-    products = exported(job.plan.config)
-    tasks = [cog_task(gridding, digest, out, name) for name in products]
-    if job.plan.config.method != KEEP:
+    tasks = list(cog_tasks(gridding, digest, out))
+    for folder in {task.arguments["out"] for task in tasks}:
+        Path(folder).mkdir(exist_ok=True)
+    if config.method != KEEP:
         tasks += classified_tasks(job.plan, sources, spooled, labels, out)
+    job.facts["outputs"] = {}
+    rasters = _write(job, "export", tasks, out)
+    mosaics = list(mosaic_tasks(gridding, digest, out))
+    if mosaics or job.store.committed("mosaic"):
+        rasters &= _write(job, "mosaic", mosaics, out)
+    if not rasters:
+        raise ProcessingError(f"{job.failed[-1]['key']} could not be written: {job.failed[-1]['error']}")
+
+
+def _write(job: Job, stage: str, tasks: list[Task], out: Path) -> bool:
+    """Write files that are not there; whether all rasters among them are."""
     files = {
-        t.key: Path(t.arguments["out"]) / t.key if t.key.endswith(".tif") else Path(t.arguments["out"])
+        t.key: Path(t.arguments["out"]) / t.key
+        if t.key.endswith((".tif", ".vrt"))
+        else Path(t.arguments["out"])
         for t in tasks
     }
-    for key, (_, record) in job.store.committed("export").items():
+    for key, (_, record) in job.store.committed(stage).items():
         if key in files and not (files[key].exists() and files[key].stat().st_size == record["bytes"]):
-            job.store.uncommit("export", key)
-    written = job.perform("export", tasks)
-    job.facts["outputs"] = {
+            job.store.uncommit(stage, key)
+    written = job.perform(stage, tasks)
+    job.facts["outputs"] |= {
         str(files[k].relative_to(out)): record["bytes"] for k, (_, record) in written.items()
     }
     for _, record in written.values():
         for text in record.get("notes", ()):
             job.note(text)
-    for name in products:
-        if f"{name}.tif" not in written:
-            raise ProcessingError(f"{name}.tif could not be written: {job.failed[-1]['error']}")
+    return all(key in written for key in files if key.endswith((".tif", ".vrt")))

@@ -14,6 +14,7 @@ from tests.invariants import clouds
 from tests.invariants.clouds import Cloud
 from tests.invariants.runs import computed, do
 from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, PRODUCTS
+from tiler.errors import ConfigError
 
 ALL = ",".join(PRODUCTS)
 RESOLUTION = "0.3"  # four blocks
@@ -121,3 +122,38 @@ def test_holes_are_left_filled_or_marked(tmp_path: Path, city: Cloud) -> None:
     assert (mask[lake] == FILLED).all()
     assert np.array_equal(left[~np.isnan(left)], filled[~np.isnan(left)])
     assert not np.isnan(values(tmp_path / "fill", "slope")[lake]).any()
+
+
+def test_sheets_are_the_raster_cut(made: Path, quarter_files: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    names = ("dtm", "distance", "mask")
+    options = {"products": ",".join(names), "resolution": RESOLUTION, "sheets": "90"}
+    do(quarter_files, out, **options)
+    assert not list(out.glob("*.tif"))
+    for name in names:
+        with rasterio.open(out / f"{name}.vrt") as mosaic, rasterio.open(made / f"{name}.tif") as whole:
+            assert (mosaic.crs, mosaic.nodata, mosaic.dtypes) == (whole.crs, whole.nodata, whole.dtypes)
+            assert (mosaic.descriptions, mosaic.units) == (whole.descriptions, whole.units)
+            left, top = whole.transform.c - mosaic.transform.c, mosaic.transform.f - whole.transform.f
+            col, row = round(left / 0.3), round(top / 0.3)
+            part = mosaic.read(1)[row : row + whole.height, col : col + whole.width]
+            assert np.array_equal(part, whole.read(1))
+            if name == "mask":
+                assert mosaic.colormap(1)[HOLE][:3] == PRODUCTS["mask"].colours[HOLE]
+        sheets = sorted((out / name).glob("*.tif"))
+        assert len(sheets) == 9  # 192 m from (500000, 5400000), which is no multiple of 90
+        for path in sheets[:2]:
+            assert cog_validate(path, strict=True) == (True, [], [])
+            with rasterio.open(path) as sheet:
+                assert sheet.shape == (300, 300)
+                assert path.stem == f"{name}_{sheet.bounds.left:.0f}_{sheet.bounds.bottom:.0f}"
+    assert do(quarter_files, out, **options).did_nothing
+    (out / "dtm" / sheets[0].name.replace("mask", "dtm")).unlink()
+    assert computed(do(quarter_files, out, **options))["export"] == 1
+
+
+def test_sheets_of_parts_of_pixels_are_refused(quarter_files: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"--sheets 10 m: no whole number of pixels of 3 m; use --sheets 9 or"
+    ):
+        do(quarter_files, tmp_path, resolution="3", sheets="10")

@@ -2,5 +2,6 @@
 
 from tiler.export.classified import write_classified
 from tiler.export.cog import write_cog
+from tiler.export.mosaic import write_mosaic
 
-__all__ = ["write_classified", "write_cog"]
+__all__ = ["write_classified", "write_cog", "write_mosaic"]

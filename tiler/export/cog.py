@@ -22,7 +22,7 @@ import rasterio.shutil
 
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.products import HEIGHT, PRODUCTS, Product
-from tiler.core.raster import NODATA, RasterSpec
+from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.geotiff import CACHE_MB, TILE, RasterLook, plain_geotiff, raster_errors
@@ -79,7 +79,8 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``name``: of the file. ``raster``: in the store (default: ``name``). ``product``: key of `PRODUCTS`, for the
         type and looks (default: dtm). ``spec``: `RasterSpec` as JSON. ``out``: folder that exists. ``compress``:
         ``deflate`` or ``zstd``. ``tags``: mapping of str to str, the provenance (TILER_VERSION, TILER_METHOD,
-        TILER_PARAMETERS, TILER_INPUTS).
+        TILER_PARAMETERS, TILER_INPUTS). For a sheet ``whole``: `RasterSpec` of the raster in the store as JSON,
+        ``spec`` being the sheet's; ``fill``: value beyond it.
 
     Returns
     -------
@@ -123,31 +124,42 @@ def _product(args: dict[str, Any]) -> Product:
 
 def _write_plain(store: TileStore, spec: RasterSpec, args: dict[str, Any], path: Path) -> Statistics:
     """Copy the raster block by block, row by row from the north-west."""
-    frame, statistics, product = store.meta.frame, Statistics(), _product(args)
-    raster_name, nodata = args.get("raster", args["name"]), product.nodata
-    with plain_geotiff(
-        path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), _look(frame, args)
-    ) as raster:
+    statistics, product = Statistics(), _product(args)
+    look, nodata = raster_look(store.meta.frame, args), product.nodata
+    with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
         for block in spec.blocks(TILE):
-            values = store.read_block(raster_name, block)
+            values = _read(store, spec, args, block)
             statistics = statistics.merged(values, nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
                 raster.write(values, block.row, block.col)
-        raster.tag_band({**_meanings(product), **statistics.tags(spec.height * spec.width)})
+        raster.tag_band({**look.meanings, **statistics.tags(spec.height * spec.width)})
     return statistics
 
 
-def _look(frame: CoordFrame, args: dict[str, Any]) -> RasterLook:
+def _read(store: TileStore, spec: RasterSpec, args: dict[str, Any], block: Block) -> npt.NDArray[np.float32]:
+    """A block of the file; where it reaches beyond the raster of the store it holds ``fill``."""
+    name = args.get("raster", args["name"])
+    if "whole" not in args:
+        return store.read_block(name, block)
+    whole = RasterSpec.from_json(args["whole"])
+    row, col = block.row + whole.north - spec.north, block.col + spec.west - whole.west
+    top, left = max(row, 0), max(col, 0)
+    bottom, right = min(row + block.height, whole.height), min(col + block.width, whole.width)
+    values = np.full((block.height, block.width), args["fill"], np.float32)
+    if top < bottom and left < right:
+        there = store.read_block(name, Block(top, left, bottom - top, right - left))
+        values[top - row : bottom - row, left - col : right - col] = there
+    return values
+
+
+def raster_look(frame: CoordFrame, args: dict[str, Any]) -> RasterLook:
+    """What the file of a product says about itself; arguments as those of `write_cog`."""
     product = _product(args)
     unit = unit_label(frame.units.vertical) if product.unit == HEIGHT else product.unit
     return RasterLook(
-        frame.crs_wkt, unit, product.description, args["tags"], product.dtype, product.nodata, product.colours
-    )
-
-
-def _meanings(product: Product) -> dict[str, str]:
-    """What the values of a band of classes mean, a tag each."""
-    return {f"VALUE_{value}": text for value, text in product.values.items()}
+        frame.crs_wkt, unit, product.description, args["tags"], product.dtype, product.nodata, product.colours,
+        {f"VALUE_{value}": text for value, text in product.values.items()},
+    )  # fmt: skip
 
 
 def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) -> None:

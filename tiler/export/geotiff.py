@@ -45,6 +45,8 @@ class RasterLook:
     nodata : float or None
     colours : mapping of int to (red, green, blue)
         Colour table of a uint8 band, empty for none.
+    meanings : mapping of str to str
+        Tags of the band that say what its values mean, empty where they are measures.
     """
 
     crs: str | None
@@ -54,6 +56,7 @@ class RasterLook:
     dtype: str = "float32"
     nodata: float | None = NODATA
     colours: Mapping[int, tuple[int, int, int]] = field(default_factory=dict)
+    meanings: Mapping[str, str] = field(default_factory=dict)
 
 
 class PlainWriter:

@@ -1,0 +1,108 @@
+"""A VRT: one raster made of the sheets of a product, for whoever wants the whole (GDAL's virtual format, in XML)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from rasterio.crs import CRS
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.products import PRODUCTS
+from tiler.core.raster import RasterSpec
+from tiler.export.cog import raster_look
+from tiler.export.geotiff import TILE, RasterLook, raster_errors
+from tiler.store import open_store
+
+_TYPES = {"float32": "Float32", "uint8": "Byte"}
+
+
+def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write ``<out>/<product>.vrt``; a `tiler.schedule.task.Work`.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``product``: key of `PRODUCTS`. ``out``: folder that exists. ``sheets``: pairs of a path relative to
+        ``out`` and a `RasterSpec` as JSON, all on one lattice; at least one. ``tags``: as those of `write_cog`.
+
+    Returns
+    -------
+    dict
+        ``path`` (the file's name) and ``bytes``.
+    """
+    frame, product = open_store(store_url).meta.frame, PRODUCTS[args["product"]]
+    sheets = [(path, RasterSpec.from_json(spec)) for path, spec in args["sheets"]]
+    whole = _hull([spec for _, spec in sheets])
+    root = ElementTree.Element("VRTDataset", rasterXSize=str(whole.width), rasterYSize=str(whole.height))
+    if frame.crs_wkt is not None:
+        srs = ElementTree.SubElement(root, "SRS", dataAxisToSRSAxisMapping="1,2")
+        srs.text = CRS.from_user_input(frame.crs_wkt).to_wkt()
+    a, b, c, d, e, f = whole.transform(COUNTS_PER_UNIT)
+    ElementTree.SubElement(root, "GeoTransform").text = ", ".join(repr(v) for v in (c, a, b, f, d, e))
+    _add_metadata(root, {"AREA_OR_POINT": "Area", **args["tags"]})
+    band = ElementTree.SubElement(root, "VRTRasterBand", dataType=_TYPES[product.dtype], band="1")
+    _describe_band(band, raster_look(frame, args))
+    for path, spec in sheets:
+        _add_sheet(band, path, spec, whole, _TYPES[product.dtype])
+    ElementTree.indent(root)
+    target = Path(args["out"]) / f"{args['product']}.vrt"
+    partial = target.with_name(f"{target.name}.partial")
+    with raster_errors(target):
+        with open(partial, "wb") as stream:
+            ElementTree.ElementTree(root).write(stream, encoding="utf-8")
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(partial, target)
+    return {"path": target.name, "bytes": target.stat().st_size}
+
+
+def _hull(specs: list[RasterSpec]) -> RasterSpec:
+    west, north = min(s.west for s in specs), max(s.north for s in specs)
+    south, east = min(s.north - s.height for s in specs), max(s.west + s.width for s in specs)
+    return RasterSpec(specs[0].lattice, west, north, north - south, east - west)
+
+
+def _add_metadata(parent: ElementTree.Element, tags: dict[str, str]) -> None:
+    metadata = ElementTree.SubElement(parent, "Metadata")
+    for key, value in tags.items():
+        ElementTree.SubElement(metadata, "MDI", key=key).text = value
+
+
+def _describe_band(band: ElementTree.Element, look: RasterLook) -> None:
+    """What the files of the sheets say of their bands; in the order that GDAL's schema wants."""
+    _add_metadata(band, dict(look.meanings))
+    ElementTree.SubElement(band, "Description").text = look.description
+    if look.unit:
+        ElementTree.SubElement(band, "UnitType").text = look.unit
+    if look.nodata is not None:
+        ElementTree.SubElement(band, "NoDataValue").text = f"{look.nodata:g}"
+    ElementTree.SubElement(band, "ColorInterp").text = "Palette" if look.colours else "Gray"
+    if look.colours:
+        table = ElementTree.SubElement(band, "ColorTable")
+        for value in range(max(look.colours) + 1):
+            red, green, blue = (str(c) for c in look.colours.get(value, (0, 0, 0)))
+            ElementTree.SubElement(table, "Entry", c1=red, c2=green, c3=blue, c4="255")
+
+
+def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: RasterSpec, kind: str) -> None:
+    source = ElementTree.SubElement(band, "SimpleSource")
+    ElementTree.SubElement(source, "SourceFilename", relativeToVRT="1").text = path
+    ElementTree.SubElement(source, "SourceBand").text = "1"
+    wide, high = str(spec.width), str(spec.height)
+    ElementTree.SubElement(
+        source, "SourceProperties", RasterXSize=wide, RasterYSize=high, DataType=kind, BlockXSize=str(TILE),
+        BlockYSize=str(TILE),
+    )  # fmt: skip
+    ElementTree.SubElement(source, "SrcRect", xOff="0", yOff="0", xSize=wide, ySize=high)
+    ElementTree.SubElement(
+        source,
+        "DstRect",
+        xOff=str(spec.west - whole.west),
+        yOff=str(whole.north - spec.north),
+        xSize=wide,
+        ySize=high,
+    )
