@@ -3,7 +3,8 @@
 The paper averages nine patches picked by hand. Here patches are the cells of a lattice of `PATCH_M` anchored at CRS
 coordinate 0, and those count that are
 
-- *many*: at least `MIN_POINTS` points, `MIN_QUARTER` in each quarter of the cell;
+- *many*: at least `MIN_POINTS` points, `MIN_QUARTER` in each quarter of the cell, and of such cells a share of at least
+  `LEAST_SHARE` passes;
 - *planar*: residuals of at most `LARGEST_SIGMA_M`, none beyond `LARGEST_RESIDUAL` of their root mean square, and planes
   of the quarters leave at least `LEAST_QUARTERS` of their variance, so a bend or a step is less than the noise;
 - *ground*: no steeper than 45 degrees, and no patch within `REACH_CELLS` cells lies more than `DROP_M` below the plane.
@@ -41,6 +42,8 @@ DROP_M = 2.0
 REACH_CELLS = 5
 REACH_M = PATCH_M * (REACH_CELLS + 1)
 """What a window must hold around its core for `measure` to give the same with any tiles."""
+LEAST_SHARE = 0.005
+"""Of all cells with enough points: in a wood a few patches of its floor or canopy look planar and tell nothing."""
 BIN_M = 0.001
 TALLEST_M = 8.0
 """Patches whose points span more height are no planes; keeps the sums small."""
@@ -57,9 +60,9 @@ class Roughness:
     density_m2 : float
         Points per square metre of the cells of `PATCH_M` that hold any; 0 without points.
     sigma_m : float or None
-        Noise of heights, metres; None if there is no planar patch.
+        Noise of heights, metres; None if there is no planar patch, or next to none.
     patches : int
-        How many planar patches it rests on.
+        How many planar patches there are, on which it rests.
     """
 
     density_m2: float
@@ -205,11 +208,12 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     Returns
     -------
     dict
-        ``points``, ``cells`` (of `PATCH_M`, with any point) and ``patches``: [[bin, count], ...] with bins of `BIN_M`.
+        ``points``, ``cells`` (of `PATCH_M`, with any point), ``full`` (with at least `MIN_POINTS`) and ``patches``:
+        [[bin, count], ...] with bins of `BIN_M`.
     """
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
     if x.size == 0:
-        return {"points": 0, "cells": 0, "patches": []}
+        return {"points": 0, "cells": 0, "full": 0, "patches": []}
     cells = Cells.of(PATCH_M, scale)
     inside = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
     # A margin of columns around the occupied ones, so that a key beside the raster is no cell of another row.
@@ -233,20 +237,24 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     return {
         "points": int(inside.sum()),
         "cells": int(own.sum()),
+        "full": int(np.count_nonzero(sums[own, :, 0].sum(axis=1) >= MIN_POINTS)),
         "patches": [[int(b), int(n)] for b, n in zip(found, counts, strict=True)],
     }
 
 
 def merge(partials: Iterable[Mapping[str, Any]]) -> Roughness:
     """The run's figures from those of all cores, in any order."""
-    points = cells = 0
+    points = cells = full = 0
     histogram: dict[int, int] = {}
     for partial in partials:
         points, cells = points + int(partial["points"]), cells + int(partial["cells"])
+        full += int(partial["full"])
         for index, count in partial["patches"]:
             histogram[int(index)] = histogram.get(int(index), 0) + int(count)
     density = points / (cells * PATCH_M**2) if cells else 0.0
     patches, sigma = sum(histogram.values()), None
+    if patches < LEAST_SHARE * full:
+        return Roughness(density, None, patches)
     below = 0
     for index in sorted(histogram):
         below += histogram[index]

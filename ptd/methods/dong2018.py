@@ -22,14 +22,14 @@ iteration_distance  max distance: 1.4         1.4 m    the paper's on slopes
                     (slopes), 0.8 (flat)
 edge_length_reduce  L1: none (table 3)        0 (off)  the paper's
 edge_length_stop    L2: none (table 3)        0 (off)  the paper's; DEN_thr sets one in dense clouds
-density_k           k: 10 (2..100)            0.1      k tan^2(alpha) is that of the paper's least k at its 6 degrees:
+density_k           k: 10 (2..100)            0.2      k tan^2(alpha) is that of k = 4 at the paper's 6 degrees;
                                                        a denser stage one takes more low objects
 first_scale         starting scale: none      4 m      larger cells blur the relief into the distances
 last_scale          s_thr: 1                  1 m      the paper's
 min_joined          n: 2000                   2000     the paper's; of the whole run, not of a tile (below)
 contour_share       outer contour: none       0.01     of the fullest bin: about 2.5 standard deviations
 pit_sigmas          none (seeds by hand)      6        beyond any noise
-thin_cell           none                      0        as fine as DEN_thr asks: `THIN_CELLS_M`; 1 m in sparse clouds
+thin_cell           none                      0        as fine as DEN_thr asks; 1 m in sparse clouds
 rounds, low_*,      as `classic`
 label_floor
 ==================  ========================  =======  ===========================================================
@@ -41,7 +41,7 @@ Figures are in ``ptd/DESIGN.md``. Deviations, and what the paper leaves open:
 - "Until the TIN's density passes DEN_thr" is decided facet by facet. Batches of all that passes would bring the mean
   of a run above it in the first round, with slopes and corners not yet reached.
 - If nothing passes any more before the TIN is so dense, stage two follows too: noise is what ended it.
-- Points are thinned in stage one, to at least half as much again as DEN_thr; a cell that cannot reach it is refused.
+- Points are thinned in stage one, so that the TIN can just pass DEN_thr; a cell that cannot reach it is refused.
 - Random is a hash of a point's absolute position. Facets of a circumradius above 20 m say nothing in stage two.
 - n is counted over all tiles between two passes. On a city it never stops anything; per tile it would stop some tiles
   and not their neighbours, and show where tiles end.
@@ -73,12 +73,6 @@ from ptd.trial import Bool
 JOINED = 4
 """Label between passes: joined at the last scale; else the labels are ASPRS classes."""
 
-THIN_CELLS_M = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.09, 0.06, 0.045, 0.03)
-"""Each lets the TIN be twice as dense as the one before."""
-
-THINNED_OVER_THRESHOLD = 1.5
-"""A thinned cloud is at least so many times denser than DEN_thr."""
-
 SPARSE_M2 = 1.0
 """Points per square metre below which no plausible noise matters."""
 
@@ -97,7 +91,7 @@ class Dong2018(Progressive):
     )  # fmt: skip
     rounds: int = parameter(8, "rounds of stage one; 0: until nothing passes", minimum=0, maximum=1000)
     density_k: float = parameter(
-        0.1, "k: density coefficient of DEN_thr, the density of the TIN from which noise decides", minimum=0.001,
+        0.2, "k: density coefficient of DEN_thr, the density of the TIN from which noise decides", minimum=0.001,
         maximum=1000.0, source="000 eq. 3",
     )  # fmt: skip
     first_scale_m: float = parameter(
@@ -205,8 +199,8 @@ class NoisePass(Pass):
             )
         if sigma is None:
             raise MethodRefusal(
-                "dong2018: no planar patch of ground to estimate the noise of heights from, which matters at"
-                f" {density}; give it with --sigma METRES"
+                f"dong2018: {found.patches or 'no'} planar patches of ground are too few to estimate the noise of"
+                f" heights, which matters at {density}; give it with --sigma METRES"
             )
         origin = "given" if given is not None else f"from {found.patches} planar patches"
         what = f"sigma {sigma:.3g} m ({origin}), {density}, DEN_thr {least:.3g} points/m2"
@@ -224,10 +218,9 @@ class NoisePass(Pass):
 
 
 def _thin_cell(threshold_m2: float) -> float:
-    """The coarsest thinning cell that lets a TIN pass a density."""
-    wanted = THINNED_OVER_THRESHOLD * threshold_m2
-    fine = (cell for cell in THIN_CELLS_M if 1.0 / cell**2 >= wanted)
-    return next(fine, THIN_CELLS_M[-1])
+    """The coarsest thinning cell, of whole centimetres and at most a metre, with which a TIN can pass a density."""
+    centimetres = math.ceil(100.0 / math.sqrt(threshold_m2)) - 1
+    return min(max(centimetres, 1), 100) / 100
 
 
 def _noted(state: State, figures: dict[str, Any], *lines: str) -> dict[str, Any]:

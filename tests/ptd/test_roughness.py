@@ -86,6 +86,13 @@ def test_lawns_do_not_raise_it() -> None:
     assert of(counts(x, y, sigma * rng.standard_normal(x.size))).sigma_m == pytest.approx(0.03, abs=0.004)
 
 
+def test_a_few_patches_among_many_cells_tell_nothing() -> None:
+    part = {"points": 1000, "cells": 60, "full": 50, "patches": [[30, 1]]}
+    assert merge([part]).sigma_m == pytest.approx(0.0305)
+    found = merge([part, {**part, "full": 151, "patches": []}])
+    assert (found.sigma_m, found.patches) == (None, 1)
+
+
 def test_few_points_give_the_density_alone() -> None:
     x, y, _ = field(5, density=0.5)
     found = of(counts(x, y, 0 * x))
