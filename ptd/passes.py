@@ -108,12 +108,20 @@ class Pass(ABC):
         `fit` wants all points of the window, not one candidate per cell of the method's `candidate_cell_m`.
     gives_labels : bool
         Else the pass only measures. The last pass of a method gives labels.
+    halo_m : float or None
+        Points around a tile with which this pass seldom needs more; None: as the method says.
+    reach_m : float or None
+        Where nothing farther from a place than this can change anything there, so that a window with so much around
+        its core, no more and no less, gives the untiled answer: neither wider halos nor open sides are needed. 0: the
+        core alone. None: no such bound.
     """
 
     name: str
     columns: tuple[str, ...] = ()
     every_point: bool = False
     gives_labels: bool = True
+    halo_m: float | None = None
+    reach_m: float | None = None
 
     @abstractmethod
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
@@ -133,7 +141,7 @@ class Method:
     name, summary : str
     params : type
         Frozen dataclass of `ptd.params.parameter` fields, the only home of the defaults, with the properties ``passes``
-        (tuple of `Pass`), ``halo_m`` (points around a tile that decisions usually reach), ``align_m``
+        (tuple of `Pass`), ``halo_m`` (metres around a tile that decisions usually reach), ``align_m``
         (windows are widened to whole cells of this lattice), ``margin_m`` (and by this beyond) and
         ``candidate_cell_m`` (0: every point is a candidate).
     needs : tuple of str

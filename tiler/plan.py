@@ -16,6 +16,7 @@ import psutil
 
 from ptd.methods import METHODS, make_params
 from ptd.params import to_json
+from ptd.passes import Pass
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.lattice import Bounds, Lattice
@@ -60,6 +61,26 @@ SECONDS_PER_MILLION = 3.5
 
 
 @dataclass(frozen=True)
+class PlannedPass:
+    """What a pass of the method sees of a tile's surroundings.
+
+    Attributes
+    ----------
+    name : str
+    halo_m : float
+    fixed : bool
+        The halo is the pass's proven reach and never widened (`ptd.passes.Pass.reach_m`).
+    every_point : bool
+        It reads all points, not one candidate a cell.
+    """
+
+    name: str
+    halo_m: float
+    fixed: bool
+    every_point: bool
+
+
+@dataclass(frozen=True)
 class Plan:
     """What a run will do; lengths in metres, sizes in bytes.
 
@@ -83,11 +104,10 @@ class Plan:
     parameters: dict[str, Any]
     resolution: Fraction
     tile: Fraction
-    halo_m: float
+    passes: tuple[PlannedPass, ...]
     memory: int
     workers: int
     candidate_cell_m: float
-    passes: int
     points: int
     area_m2: float
     extent: Bounds
@@ -117,8 +137,13 @@ class Plan:
         return max((self.memory - BASE_BYTES) // GROUND_BYTES, MAX_GROUND // 8)
 
     @property
+    def halo_m(self) -> float:
+        """The widest halo that a pass starts with, metres."""
+        return max((step.halo_m for step in self.passes), default=0.0)
+
+    @property
     def overlap(self) -> float:
-        """Padded area over core area of a filter tile."""
+        """Padded area over core area of a filter tile, in the pass that sees most."""
         return float(((self.tile + 2 * Fraction(self.halo_m)) / self.tile) ** 2)
 
     @property
@@ -131,24 +156,23 @@ class Plan:
         bucket = self.density * float(self.meta.bucket.size * self.meta.frame.metres_xy) ** 2
         return {
             "ingest": int(BASE_BYTES + max(PIECE_POINTS * 160, bucket * BUCKET_POINT_BYTES * 4)),
-            "filter": self._filter_bytes(self.widest_halo_m),
+            "filter": max((self._filter_bytes(s, self.widest_halo_m(s)) for s in self.passes), default=0),
             "grid": BASE_BYTES + min(self.points, self.block_points) * GROUND_BYTES,
         }
 
-    def _filter_bytes(self, halo_m: float) -> int:
-        """Peak bytes of a worker that filters a tile with that halo."""
-        window = (float(self.tile) + 2 * halo_m) ** 2
-        candidates = min(candidate_density(self.density, self.candidate_cell_m) * window, self.points)
+    def _filter_bytes(self, step: PlannedPass, halo_m: float) -> int:
+        """Peak bytes of a worker that does a tile of a pass with that halo."""
+        window = min((float(self.tile) + 2 * halo_m) ** 2, self.area_m2)
+        read = window_bytes(self.density, self.candidate_cell_m, step) * window
         bucket = self.density * float(self.meta.bucket.size * self.meta.frame.metres_xy) ** 2
-        return int(
-            BASE_BYTES + candidates * candidate_bytes(self.candidate_cell_m) + bucket * BUCKET_POINT_BYTES
-        )
+        return int(BASE_BYTES + read + bucket * BUCKET_POINT_BYTES)
 
-    @property
-    def widest_halo_m(self) -> float:
+    def widest_halo_m(self, step: PlannedPass) -> float:
         """Metres of halo that a tile with marks may take: doubled and doubled again while the memory allows."""
-        halo = self.halo_m
-        while 0 < halo < MAX_HALO_FACTOR * self.halo_m and self._filter_bytes(2 * halo) <= self.memory:
+        halo = step.halo_m
+        if step.fixed:
+            return halo
+        while 0 < halo < MAX_HALO_FACTOR * step.halo_m and self._filter_bytes(step, 2 * halo) <= self.memory:
             halo *= 2
         return halo
 
@@ -165,7 +189,8 @@ class Plan:
             "inputs": len(self.sources), "unreadable": [list(u) for u in self.unreadable], "points": self.points,
             "area_m2": self.area_m2, "density_per_m2": self.density, "crs": frame.crs_wkt,
             "units": {"horizontal": unit_label(frame.units.horizontal), "vertical": unit_label(frame.units.vertical)},
-            "method": self.config.method, "parameters": self.parameters, "passes": self.passes,
+            "method": self.config.method, "parameters": self.parameters, "passes": len(self.passes),
+            "halos_m": {step.name: step.halo_m for step in self.passes},
             "resolution_m": float(self.resolution), "tile_m": float(self.tile),
             "bucket_m": float(self.meta.bucket.size * frame.metres_xy), "halo_m": self.halo_m,
             "tiles": self.tiles, "overlap_work": self.overlap, "workers": self.workers, "memory_bytes": self.memory,
@@ -186,8 +211,7 @@ class Plan:
             f"extent      {wide:,.0f} x {high:,.0f} m from ({west:,.1f}, {south:,.1f})",
             f"CRS         {crs_name(frame.crs_wkt)}; x, y in {unit_label(frame.units.horizontal)}, "
             f"z in {unit_label(frame.units.vertical)}",
-            f"method      {self.config.method}" + (f", {self.passes} pass" if self.passes else "")
-            + ("" if self.passes <= 1 else "es"),
+            f"method      {self.config.method}" + _passes_in_words(self.passes),
             f"DTM         {float(self.resolution):g} m pixels, "
             f"nodata beyond facets of {float(self.config.max_edge):g} m",
             f"tiles       about {self.tiles} of {float(self.tile):g} m with {self.halo_m:g} m of halo, "
@@ -200,6 +224,13 @@ class Plan:
             *(f"warning     {text}" for text in self.warnings),
             *(f"left out    {path}: {reason}" for path, reason in self.unreadable),
         ]  # fmt: skip
+
+
+def _passes_in_words(passes: tuple[PlannedPass, ...]) -> str:
+    """Number of passes, and what each sees around a tile where there are several."""
+    if len(passes) < 2:
+        return ", 1 pass" if passes else ""
+    return f", {len(passes)} passes, halo: " + ", ".join(f"{step.name} {step.halo_m:g} m" for step in passes)
 
 
 def crs_name(wkt: str | None) -> str:
@@ -251,15 +282,14 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
         raise ConfigError(
             f"--method {config.method}: needs colours (RGB), no input has any; use another method"
         )
-    halo = float(config.halo) if config.halo is not None else defaults.halo_m if defaults else 0.0
     cell = defaults.candidate_cell_m if defaults else 0.0
-    need = candidate_density(density, cell) * candidate_bytes(cell)
-    tile = config.tile_size or _tile(memory, need, halo, meta)
-    warnings = _warnings(filled, agreement.units, tile, halo)
+    passes = _planned_passes(defaults, config, notes) if defaults else ()
+    tile = config.tile_size or _tile(memory, density, cell, passes, meta)
+    warnings = _warnings(filled, agreement.units, tile, max((step.halo_m for step in passes), default=0.0))
     plan = Plan(
         config, tuple(sources), tuple(unreadable), meta, limits, parameters,
-        _resolution(config, density, notes), tile, halo, memory, config.workers or psutil.cpu_count() or 1,
-        defaults.candidate_cell_m if defaults else 0.0, len(defaults.passes) if defaults else 0, points, area,
+        _resolution(config, density, notes), tile, passes, memory, config.workers or psutil.cpu_count() or 1,
+        cell, points, area,
         limits or extent, output_names(inputs, sources), tuple(notes), tuple(warnings),
         None if config.statistics is None else earlier_statistics(Path(config.statistics), config.method, parameters),
     )  # fmt: skip
@@ -366,10 +396,40 @@ def candidate_bytes(cell_m: float) -> float:
     return READ_BYTES + VERTEX_BYTES * share
 
 
-def _tile(memory: int, bytes_per_m2: float, halo_m: float, meta: StoreMeta) -> Fraction:
-    """Largest tile, at most `TILE_M`, whose window uses three quarters of the memory left after start-up."""
+def window_bytes(density: float, cell_m: float, step: PlannedPass) -> float:
+    """Bytes of memory for each square metre of a pass's window."""
+    if not step.every_point:
+        return candidate_density(density, cell_m) * candidate_bytes(cell_m)
+    return density * READ_BYTES + min(density, 1 / cell_m**2 if cell_m else math.inf) * VERTEX_BYTES
+
+
+def _planned_passes(params: Any, config: RunConfig, notes: list[str]) -> tuple[PlannedPass, ...]:
+    """The passes of a method with the halo that each starts with."""
+
+    def halo(step: Pass) -> float:
+        if step.reach_m is not None:
+            return step.reach_m
+        if config.halo is not None:
+            return float(config.halo)
+        return float(params.halo_m if step.halo_m is None else step.halo_m)
+
+    fixed = [step for step in params.passes if step.reach_m is not None]
+    if config.halo is not None and fixed:
+        notes.append(
+            "--halo is for passes whose reach is not known beforehand; "
+            + ", ".join(f"{step.name} sees {step.reach_m:g} m" for step in fixed)
+            + ", as far as they reach"
+        )
+    return tuple(PlannedPass(s.name, halo(s), s.reach_m is not None, s.every_point) for s in params.passes)
+
+
+def _tile(
+    memory: int, density: float, cell_m: float, passes: Iterable[PlannedPass], meta: StoreMeta
+) -> Fraction:
+    """Largest tile, at most `TILE_M`, whose windows use three quarters of the memory left after start-up."""
     budget = max(memory - BASE_BYTES, memory // 4) * 3 / 4
-    side = math.sqrt(budget / bytes_per_m2) - 2 * halo_m
+    sides = [math.sqrt(budget / window_bytes(density, cell_m, step)) - 2 * step.halo_m for step in passes]
+    side = min(sides, default=float(TILE_M))
     bucket = meta.bucket.size * meta.frame.metres_xy
     return max(min(Fraction(TILE_M), Fraction(max(side, 0.0))) // bucket, 1) * bucket
 

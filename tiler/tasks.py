@@ -189,12 +189,12 @@ def filter_tasks(
 ) -> Iterator[Task]:
     """One for each tile of a pass; ``before``: bucket -> digest of its contents and its labels so far."""
     frame = plan.meta.frame
-    halo = math.ceil(frame.counts(Fraction(plan.halo_m)))
-    farthest = math.ceil(frame.counts(Fraction(plan.widest_halo_m)))
+    halo = math.ceil(frame.counts(Fraction(plan.passes[number].halo_m)))
+    farthest = math.ceil(frame.counts(Fraction(plan.widest_halo_m(plan.passes[number]))))
     params = METHODS[plan.config.method].params(**plan.parameters)
-    sight = farthest + math.ceil(frame.counts(Fraction(sight_m(params))))
     earlier = [i for i in range(number) if params.passes[i].gives_labels]
     step, last = params.passes[number], number == len(params.passes) - 1
+    sight = farthest + math.ceil(frame.counts(Fraction(sight_m(step, params))))
     reads = "labels" in step.columns
     for tile, cells in tiles_of(plan, assembled.records).items():
         arguments = {

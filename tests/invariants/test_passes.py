@@ -16,9 +16,10 @@ from ptd.methods import METHODS
 from ptd.params import parameter
 from ptd.passes import Method, MethodRefusal, Model, Pass, Points, State
 from tests.invariants import clouds
-from tests.invariants.runs import computed, do, stored_labels
+from tests.invariants.runs import computed, do, settings, stored_labels
 from tests.ptd.tiling import inside
 from tiler.errors import ConfigError
+from tiler.plan import make_plan
 
 HIGH, LOW = 3, 4
 
@@ -35,10 +36,12 @@ class Measured(Model):
 
 
 class MeanHeight(Pass):
-    name, every_point, gives_labels = "mean", True, False
+    name, every_point, gives_labels, reach_m = "mean", True, False, 0.0
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         assert points.labels is None
+        assert window == core
+        assert inside(points, core).all()
         return Measured(points.xyz[2, inside(points, core)])
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
@@ -83,7 +86,9 @@ class Lonely(Model):
 
 
 class LonelyLow(Pass):
-    name, columns, every_point = "lonely", ("labels",), True
+    """The cell of a point reaches no farther than its side."""
+
+    name, columns, every_point, reach_m = "lonely", ("labels",), True, 8.0
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         return Lonely(points, scale)
@@ -121,12 +126,34 @@ def expected(cloud: clouds.Cloud) -> np.ndarray:
 def test_tiles_do_not_show(tmp_path: Path) -> None:
     cloud = clouds.city(150.0)
     path = clouds.write(tmp_path / "city.laz", cloud)
-    for name, tile in (("many", "32"), ("one", "512")):
-        result = do(path, tmp_path / name, "filter", method="lonely", tile_size=tile, halo="8")
+    for name, tile, halo in (("many", "32", "0"), ("wide", "32", "40"), ("one", "512", None)):
+        result = do(path, tmp_path / name, "filter", method="lonely", tile_size=tile, halo=halo)
         labels, marks = stored_labels(tmp_path / name)
         assert np.array_equal(labels, expected(cloud))
         assert not marks.any()
+        if tile == "32":
+            assert result.summary["filter"]["overlap_work"] == pytest.approx(48**2 / 32**2, rel=0.1)
     assert result.summary["statistics"]["mean"]["notes"] == [f"{len(cloud)} points were seen"]
+
+
+def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
+    path = clouds.write(tmp_path / "city.laz", clouds.city(150.0))
+
+    def plan(**changes: Any) -> Any:
+        return make_plan([str(path)], settings(method="lonely", tile_size="32", **changes))
+
+    ours = plan(halo=None)
+    assert [step.halo_m for step in ours.passes] == [0.0, 8.0, 8.0]
+    assert "method      lonely, 3 passes, halo: mean 0 m, split 8 m, lonely 8 m" in ours.lines()
+    assert ours.to_json()["halos_m"] == {"mean": 0.0, "split": 8.0, "lonely": 8.0}
+    assert ours.overlap == pytest.approx(48**2 / 32**2)
+    assert [ours.widest_halo_m(step) for step in ours.passes] == [0.0, 32.0, 8.0]
+    assert not any("--halo" in note for note in ours.notes)
+    wider = plan(halo="40")
+    assert [step.halo_m for step in wider.passes] == [0.0, 40.0, 8.0]
+    assert wider.overlap == pytest.approx(112**2 / 32**2)
+    assert any("mean sees 0 m, lonely sees 8 m, as far as they reach" in note for note in wider.notes)
+    assert wider.projected_memory()["filter"] > ours.projected_memory()["filter"]
 
 
 def test_a_new_file_with_the_statistics_of_before_changes_only_its_surroundings(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ptd.cells import lowest_per_cell
 from ptd.frame import OPEN, Cells, Scale, Window
-from ptd.passes import Points, RunFacts
+from ptd.passes import Pass, Points, RunFacts
 
 
 def part(points: Points, index: Any) -> Points:
@@ -41,8 +41,9 @@ def classify_tiled(
     """Labels, marks and the last state; ``tile_m`` None: the cloud as one window with nothing beyond it.
 
     Windows are core and halo, widened to whole cells of `align_m`, and by `margin_m`; their sides are open where the
-    cloud ends. As in `tiler.filter`, a pass sees one candidate per `candidate_cell_m` unless it wants every point, and
-    a marked label in the window of a pass that reads labels marks the whole core.
+    cloud ends. A pass with a fixed reach sees just that around a core. As in `tiler.filter`, a pass sees one candidate
+    per `candidate_cell_m` unless it wants every point, and a marked label in the window of a pass that reads labels
+    marks the whole core.
     """
     n = len(points)
     labels, marks = np.zeros(n, np.uint8), np.zeros(n, bool)
@@ -51,7 +52,7 @@ def classify_tiled(
         given = _given(points, step, labels)
         found, doubtful = np.zeros(n, np.uint8), np.zeros(n, bool)
         partials = []
-        for core, window in _windows(points, scale, params, tile_m, halo_m):
+        for core, window in _windows(points, scale, params, step, tile_m, halo_m):
             seen = np.flatnonzero(inside(points, window))
             own = np.flatnonzero(inside(points, core))
             if not own.size:
@@ -71,7 +72,7 @@ def classify_tiled(
 
 
 def _windows(
-    points: Points, scale: Scale, params: Any, tile_m: float | None, halo_m: float
+    points: Points, scale: Scale, params: Any, step: Pass, tile_m: float | None, halo_m: float
 ) -> list[tuple[Window, Window]]:
     """Core and window of each tile."""
     everything = Window.everything()
@@ -84,6 +85,11 @@ def _windows(
     for row in range(tiles.row(int(y0)), tiles.row(int(y1)) + 1):
         for column in range(tiles.column(int(x0)), tiles.column(int(x1)) + 1):
             core = Window(tiles.west(column), tiles.south(row), tiles.west(column + 1), tiles.south(row + 1))
+            if step.reach_m is not None:
+                reach = math.ceil(scale.counts(step.reach_m))
+                sides = core.west - reach, core.south - reach, core.east + reach, core.north + reach
+                found.append((core, Window(*sides)))
+                continue
             window = Window(
                 align.west(align.column(core.west - halo)) - margin,
                 align.south(align.row(core.south - halo)) - margin,

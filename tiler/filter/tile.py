@@ -32,16 +32,17 @@ REACH_CELLS = 4
 """So many cells of a method's lattice beyond a window, an occupied bucket still tells that the data go on there."""
 
 
-def sight_m(params: Any) -> float:
-    """Metres beyond core and halo from which buckets can change a tile, for the parameters of a method."""
-    return float((REACH_CELLS + 1) * params.align_m + params.margin_m)
+def sight_m(step: Pass, params: Any) -> float:
+    """Metres beyond core and halo from which buckets can change a tile, for a pass and its method's parameters."""
+    return float((REACH_CELLS + 1) * params.align_m + params.margin_m) if step.reach_m is None else 0.0
 
 
 def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     """Filter one tile.
 
     A core that carries a mark is done again with twice the halo, up to ``max_halo``; what stays marked
-    keeps its mark (bit 7 of the label) and is counted.
+    keeps its mark (bit 7 of the label) and is counted. The window of a pass with a fixed reach is core and halo as
+    they are; that of any other is widened to the method's lattice, and knows where the data end.
 
     Parameters
     ----------
@@ -66,15 +67,12 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     scale = Scale(store.meta.frame.metres_xy, store.meta.frame.metres_z, store.meta.frame.origin)
     cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
     core = _hull(store.meta.bucket, cells)
-    align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
-    margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(params.margin_m)))))
     halo, tries, area = int(args["halo"]), 0, 0
     inner = _local(core, store)
     while True:
         tries += 1
-        window = _aligned(core.pad(halo), align).pad(margin)
+        window, known = _window(store, core.pad(halo), step, params)
         area += window.area()
-        known = _known(store, window, reach=math.ceil(REACH_CELLS * align.size))
         points, inherited = _points(store, window, step, params.candidate_cell_m, args)
         model = step.fit(points, known, inner, scale, args["state"])
         labels = {cell: _label(store, cell, step, model, args) for cell in cells} if step.gives_labels else {}
@@ -95,6 +93,16 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         "window_points": len(points), "core_area": core.area(), "window_area": area,
         "cells": args["cells"], "labels": _digest(labels.values()), "partial": model.partial(), "stats": model.stats,
     }  # fmt: skip
+
+
+def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Known]:
+    """What a pass reads for a core and its halo, and what it is told of it."""
+    if step.reach_m is not None:
+        return padded, _local(padded, store)
+    align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
+    margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(params.margin_m)))))
+    window = _aligned(padded, align).pad(margin)
+    return window, _known(store, window, reach=math.ceil(REACH_CELLS * align.size))
 
 
 def _hull(lattice: Lattice, cells: Iterable[Cell]) -> Bounds:
