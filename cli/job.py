@@ -23,6 +23,7 @@ def job_command(name: str, help: str, until: str = "export") -> click.Command:
     @json_option
     def command(inputs: tuple[str, ...], out: str, as_json: bool, **settings: Any) -> int:
         config = read_config(settings)
+        from tiler.observe.logs import printable
         from tiler.observe.progress import open_progress
         from tiler.pipeline import run
 
@@ -33,7 +34,7 @@ def job_command(name: str, help: str, until: str = "export") -> click.Command:
             print_json(result.summary)
         elif not session.quiet:
             for line in summary_lines(result.summary, out, result.did_nothing):
-                click.echo(line)
+                click.echo(printable(line))
         return result.exit_code
 
     return command

@@ -15,6 +15,7 @@ from cli import exit_codes
 from cli.session import Session
 from tiler import __version__
 from tiler.errors import TilerError
+from tiler.observe.logs import printable
 
 COMMANDS = {
     "run": "The whole job: clouds to a DTM and classified clouds.",
@@ -111,7 +112,7 @@ def _end(error: BaseException, session: Session) -> int:
         click.echo(f"tiler: interrupted{rest}", err=True)
         return exit_codes.INTERRUPTED
     text, code = _line_and_code(error)
-    click.echo(f"tiler: error: {' '.join(text.split())}", err=True)
+    click.echo(f"tiler: error: {printable(' '.join(text.split()))}", err=True)
     return code
 
 

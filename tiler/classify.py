@@ -10,10 +10,11 @@ from tiler.config import RunConfig
 from tiler.errors import ConfigError
 from tiler.export import write_classified
 from tiler.filter import LABELS
-from tiler.ingest import inspect
+from tiler.ingest import inspect, inspect_guarded, read_guarded
 from tiler.observe.events import Listener, silent
 from tiler.pipeline import run
 from tiler.plan import KEEP
+from tiler.schedule import Guard
 from tiler.store import open_store
 
 
@@ -53,7 +54,19 @@ def classify_file(
         raise ConfigError(f"{target}: is the input; name another output")
     if not source.exists():
         raise ConfigError(f"{source}: no such file")
-    info = inspect(source, config.salvage)
+    with Guard() as guard:
+        return _classify(guard, source, target, config, listener)
+
+
+def _classify(
+    guard: Guard, source: Path, target: Path, config: RunConfig, listener: Listener
+) -> dict[str, Any]:
+    """`classify_file`, once it is known that it can work."""
+    info = (
+        inspect(source, config.salvage)
+        if config.in_process
+        else inspect_guarded(guard, source, config.salvage)
+    )
     if info.georeference.kind == "missing" and config.crs is None:
         listener(
             "note", {"text": f"{source}: has no CRS; metres are assumed, --units or --crs say otherwise"}
@@ -63,13 +76,21 @@ def classify_file(
     with TemporaryDirectory(prefix=".tiler-", dir=target.parent) as scratch:
         summary = run([str(source)], scratch, config.updated(store=None), listener, until="filter").summary
         store = open_store(str(Path(scratch) / "store.zarr"))
-        record = write_classified(
-            store.url,
-            {"path": str(source), "source": 0, "out": str(target), "labels": LABELS, "salvage": config.salvage,
-             "cells": [[cell.ix, cell.iy] for cell in store.buckets()]},
-        )  # fmt: skip
+        arguments = {
+            "path": str(source), "source": 0, "out": str(target), "labels": LABELS, "salvage": config.salvage,
+            "cells": [[cell.ix, cell.iy] for cell in store.buckets()],
+        }  # fmt: skip
+        if config.in_process:
+            record = write_classified(store.url, arguments)
+        else:  # other fields of the records are decoded now, which may crash where the coordinates did not
+            record = read_guarded(guard, _write, source, store.url, arguments)
     return {
         **record, "seconds": summary["seconds"], "method": config.method,
         "parameters": summary["plan"]["parameters"], "tiles": summary["filter"]["tiles"],
         "marked": summary["filter"]["marked"],
     }  # fmt: skip
+
+
+def _write(source: Path, store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    """`write_classified` with the file that it reads as its first argument."""
+    return write_classified(store_url, {**arguments, "path": str(source)})

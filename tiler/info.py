@@ -56,7 +56,13 @@ def describe(path: str) -> dict[str, Any]:
         )
     if place.is_dir():
         return _describe_folder(place)
-    return describe_cloud(place) if place.suffix.lower() in _CLOUDS else describe_raster(place)
+    if place.suffix.lower() not in _CLOUDS:
+        return describe_raster(place)
+    from tiler.ingest import read_guarded
+    from tiler.schedule import Guard
+
+    with Guard() as guard:
+        return read_guarded(guard, describe_cloud, place)
 
 
 def _describe_folder(folder: Path) -> dict[str, Any]:

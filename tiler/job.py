@@ -20,7 +20,7 @@ from tiler.perform import peak_rss_bytes, perform
 from tiler.plan import Plan
 from tiler.report import write_run_file
 from tiler.schedule import Executor, Limits, Outcome, Task, make_executor
-from tiler.store import TileStore
+from tiler.store import LEASE_SECONDS, Lease, TileStore
 
 LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
 
@@ -65,6 +65,8 @@ class Job:
     failed: list[dict[str, Any]] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
     damaged: set[str] = field(default_factory=set)
+    lease: Lease | None = None
+    held: float = field(default_factory=time.monotonic)
 
     def note(self, text: str) -> None:
         """Tell people what was decided for them."""
@@ -111,6 +113,7 @@ class Job:
             )
         for outcome in self.executor.run(perform, self.store.url, todo) if todo and self.executor else ():
             self._finished(outcome)
+            self._hold()
             cpu_peak = max(cpu_peak, outcome.peak_rss_bytes)
             if outcome.record is not None:
                 done[outcome.task.key] = (outcome.task.digest, outcome.record)
@@ -123,6 +126,12 @@ class Job:
         self.listener("stage_finished", {"stage": stage, "seconds": seconds})
         self.save("running")
         return dict(sorted(done.items()))
+
+    def _hold(self) -> None:
+        """End this run if another one took the store over, as after a long sleep of this machine."""
+        if self.lease is not None and time.monotonic() - self.held > LEASE_SECONDS / 2:
+            self.lease.check()
+            self.held = time.monotonic()
 
     def _finished(self, outcome: Outcome) -> None:
         task = outcome.task

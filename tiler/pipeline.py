@@ -27,7 +27,7 @@ from tiler.observe.events import Listener, combine, silent
 from tiler.plan import KEEP, Plan, crs_name, make_plan, refuse
 from tiler.rasters import export, grid
 from tiler.schedule import Task
-from tiler.store import BucketInfo, TileStore, create_store, open_store, remove_store, store_exists
+from tiler.store import BucketInfo, Lease, TileStore, create_store, open_store, remove_store, store_exists
 from tiler.tasks import (
     Assembled,
     Source,
@@ -79,8 +79,8 @@ def run(
     if config.overwrite:
         remove_store(url)
     plan, store = _frozen(plan, url)
-    with store.lock(), EventLog(out / "events.jsonl") as log:
-        result = _locked_run(plan, store, out, combine(listener, log), until, started)
+    with store.lock() as lease, EventLog(out / "events.jsonl") as log:
+        result = _locked_run(plan, store, lease, out, combine(listener, log), until, started)
     if config.clean_store and until == "export":
         remove_store(url)
     return result
@@ -89,6 +89,7 @@ def run(
 def _locked_run(
     plan: Plan,
     store: TileStore,
+    lease: Lease,
     out: Path,
     listener: Listener,
     until: str,
@@ -99,7 +100,7 @@ def _locked_run(
         listener("note", {"text": text})
     for text in plan.warnings:
         listener("warning", {"text": text})
-    job = Job(plan, out, store, listener)
+    job = Job(plan, out, store, listener, lease=lease)
     try:
         _healing_stages(job, until)
     except BaseException:

@@ -52,15 +52,21 @@ def all_gone(group: list[psutil.Process]) -> bool:
     return not alive
 
 
-@pytest.mark.parametrize("stage", ["filter0"])
-def test_ctrl_c_ends_at_once_and_the_command_goes_on(stage: str, cloud: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "interrupt", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "a batch system's SIGTERM"]
+)
+def test_an_interrupt_ends_at_once_and_the_command_goes_on(
+    interrupt: signal.Signals, cloud: Path, tmp_path: Path
+) -> None:
+    """Either goes to every process: by the terminal to its group, by a batch system to all of a job."""
+    stage = "filter0"
     out = tmp_path / "out"
     process = start(cloud, out)
     wait_for(out, "task_done", stage, process)
     group = psutil.Process(process.pid).children(recursive=True)
     assert len(group) >= 2
     began = time.monotonic()
-    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, interrupt)
     _, error = process.communicate(timeout=60)
     assert time.monotonic() - began < 20
     assert process.returncode == 130, error

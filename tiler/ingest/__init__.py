@@ -8,7 +8,15 @@ Before them, in one process: `find_inputs`, `inspect`, `agree`, `pieces`.
 from tiler.ingest.assemble import assemble_buckets
 from tiler.ingest.georeference import Agreement, Georeference, agree
 from tiler.ingest.requantise import bounds_in_counts
-from tiler.ingest.sources import SourceInfo, claimed_bounds, find_inputs, inspect, inspect_guarded, pieces
+from tiler.ingest.sources import (
+    SourceInfo,
+    claimed_bounds,
+    find_inputs,
+    inspect,
+    inspect_guarded,
+    pieces,
+    read_guarded,
+)
 from tiler.ingest.spool import spool_piece
 from tiler.ingest.strays import Strays, find_strays
 
@@ -26,5 +34,6 @@ __all__ = [
     "inspect",
     "inspect_guarded",
     "pieces",
+    "read_guarded",
     "spool_piece",
 ]

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
@@ -19,6 +19,8 @@ from tiler.las.columns import RGB_FORMATS
 from tiler.las.headers import read_header
 from tiler.las.reader import count_decodable, rows_at_once
 from tiler.schedule.guard import Died, Guard
+
+Read = TypeVar("Read")
 
 SUFFIXES = (".las", ".laz")
 
@@ -180,10 +182,15 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
 
 
 def inspect_guarded(guard: Guard, path: Path, salvage: bool = False) -> SourceInfo:
-    """`inspect` in a child process: a file that makes the decoder crash, hang or eat memory is an InputError."""
+    """`inspect` in a child process."""
+    return read_guarded(guard, inspect, path, salvage)
+
+
+def read_guarded(guard: Guard, function: Callable[..., Read], path: Path, *arguments: Any) -> Read:
+    """``function(path, ...)`` in a child process: a file that makes it crash, hang or eat memory is an InputError."""
     try:
-        size = path.stat().st_size
-        return guard.call(inspect, path, salvage, seconds=INSPECTION_SECONDS + size / BYTES_PER_SECOND)
+        seconds = INSPECTION_SECONDS + path.stat().st_size / BYTES_PER_SECOND
+        return guard.call(function, path, *arguments, seconds=seconds)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); name a readable file") from error
     except Died as died:

@@ -9,6 +9,11 @@ _LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
 _OWN_LOGGERS = ("tiler", "ptd", "cli")
 
 
+def printable(text: str) -> str:
+    """The text in one line that no file name can break, colour or move: what is not printable is written as escapes."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 class _StderrHandler(logging.Handler):
     """Writes to whatever `sys.stderr` is at that moment: progress bars put themselves in its place."""
 
@@ -16,7 +21,7 @@ class _StderrHandler(logging.Handler):
         text = self.format(record)
         if record.name == "py.warnings":  # several lines, the last of them source code
             text = " ".join(text.split())
-        print(text, file=sys.stderr, flush=True)
+        print(printable(text), file=sys.stderr, flush=True)
 
 
 def set_up_logging(verbosity: int) -> None:

@@ -6,12 +6,13 @@ The only place that knows zarr, paths, dtypes, chunks and the schema version.
 from __future__ import annotations
 
 from tiler.store.index import BucketInfo
-from tiler.store.lock import Lease
+from tiler.store.lock import LEASE_SECONDS, Lease
 from tiler.store.meta import StoreMeta
 from tiler.store.storage import Usage
 from tiler.store.store import TileStore, create_store, open_store, remove_store, store_exists
 
 __all__ = [
+    "LEASE_SECONDS",
     "BucketInfo",
     "Lease",
     "StoreMeta",

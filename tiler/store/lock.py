@@ -9,6 +9,7 @@ import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import psutil
@@ -19,6 +20,9 @@ from tiler.store.storage import Storage
 
 LEASE_SECONDS = 120.0
 RENEW_SECONDS = 20.0
+OBSERVE_SECONDS = 1.5 * RENEW_SECONDS
+"""A lease of another host that seems old is watched for so long: its clock may be another one's."""
+DAMAGED = "?"
 SETTLE_SECONDS = 0.5
 """Object stores cannot write exclusively through fsspec: the last of two writers holds the lease after this time."""
 
@@ -41,7 +45,7 @@ class Lease:
     def _body(self) -> dict[str, Any]:
         process = psutil.Process()
         return {
-            "token": self._token, "host": socket.gethostname(), "pid": process.pid, "started": process.create_time(),
+            "token": self._token, "host": socket.gethostname(), "pid": process.pid, "started": _start_of(process.pid),
             "since": self._since, "renewed": time.time(),
         }  # fmt: skip
 
@@ -59,7 +63,7 @@ class Lease:
         holder = _holder(self._storage)
         taken_over = holder is not None
         if holder is not None:
-            if not _stale(holder):
+            if not _stale(self._storage, holder):
                 raise _refused(self._storage, holder)
             self._storage.delete(LOCK_KEY)
         self._storage.put_json_new(LOCK_KEY, self._body())
@@ -77,7 +81,8 @@ class Lease:
 def locked(storage: Storage) -> Iterator[Lease]:
     """Hold the store; raises LockedError, naming the holder, while another run does.
 
-    A lease whose process is gone from this host, or that was not renewed for `LEASE_SECONDS`, is taken over.
+    A lease whose process is gone from this host, or that seems older than `LEASE_SECONDS` and is not renewed while it
+    is watched, is taken over.
     """
     lease = Lease(storage)
     lease._acquire()
@@ -94,7 +99,7 @@ def locked(storage: Storage) -> Iterator[Lease]:
 def refuse_if_held(storage: Storage) -> None:
     """Raise LockedError while a run of another process holds the store."""
     holder = _holder(storage)
-    if holder is not None and not _stale(holder) and not _is_here(holder):
+    if holder is not None and not _stale(storage, holder) and not _is_here(holder):
         raise _refused(storage, holder)
 
 
@@ -102,7 +107,7 @@ def _holder(storage: Storage) -> dict[str, Any] | None:
     try:
         holder: dict[str, Any] | None = storage.get_json(LOCK_KEY)
     except StoreError:
-        return {"token": "", "host": "?", "pid": 0, "started": 0.0, "since": 0.0, "renewed": 0.0}
+        return {"token": "", "host": DAMAGED, "pid": 0, "started": 0.0, "since": 0.0, "renewed": 0.0}
     return holder
 
 
@@ -114,17 +119,33 @@ def _refused(storage: Storage, holder: dict[str, Any] | None) -> LockedError:
     return LockedError(f"{storage.url}: in use by {_name(holder)}; wait for it, or stop it")
 
 
-def _stale(holder: dict[str, Any]) -> bool:
-    if time.time() - holder["renewed"] > LEASE_SECONDS:
-        return True
-    if holder["host"] != socket.gethostname():
-        return False
-    try:
+def _stale(storage: Storage, holder: dict[str, Any]) -> bool:
+    """Whether the holder of a lease is gone. Clocks jump and differ, so they alone never say so."""
+    if holder["host"] == socket.gethostname():
         # A number alone may have gone to another process since.
-        started: float = psutil.Process(holder["pid"]).create_time()
-        return abs(started - float(holder["started"])) > 2.0
-    except psutil.NoSuchProcess:
+        return bool(_start_of(holder["pid"]) != holder["started"])
+    if holder["host"] == DAMAGED:
         return True
+    if abs(time.time() - holder["renewed"]) < LEASE_SECONDS:
+        return False
+    time.sleep(OBSERVE_SECONDS)
+    after = _holder(storage)
+    return after is None or (after["token"], after["renewed"]) == (holder["token"], holder["renewed"])
+
+
+def _start_of(pid: int) -> float | None:
+    """When a process started, by a clock that never jumps where there is one; None: there is no such process."""
+    try:
+        # psutil's time of creation moves with the clock of the wall: it is the time of the boot, and these ticks.
+        after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
+        return float(after_name.split()[19])
+    except FileNotFoundError:
+        if Path("/proc/self/stat").exists():
+            return None
+    try:
+        return psutil.Process(pid).create_time()
+    except psutil.NoSuchProcess:
+        return None
 
 
 def _name(holder: dict[str, Any] | None) -> str:

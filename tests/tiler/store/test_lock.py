@@ -24,6 +24,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lock, "SETTLE_SECONDS", 0.02)
+    monkeypatch.setattr(lock, "OBSERVE_SECONDS", 0.2)
 
 
 def lease(**changes: Any) -> dict[str, Any]:
@@ -33,7 +34,7 @@ def lease(**changes: Any) -> dict[str, Any]:
         "token": "x",
         "host": socket.gethostname(),
         "pid": me.pid,
-        "started": me.create_time(),
+        "started": lock._start_of(me.pid),
         "since": now,
     }
     return {**body, "renewed": now, **changes}
@@ -66,10 +67,11 @@ def test_an_error_inside_releases_the_lock(store_url: str, meta: StoreMeta) -> N
     "changes",
     [
         {"renewed": time.time() - 1000, "host": "elsewhere"},
+        {"renewed": time.time() + 10**8, "host": "elsewhere"},
         {"pid": 2**22 + 1},
         {"started": 1.0},
     ],
-    ids=["not renewed", "no such process", "number of another process"],
+    ids=["not renewed", "from the future", "no such process", "number of another process"],
 )
 def test_a_stale_lease_is_taken_over(store_url: str, meta: StoreMeta, changes: dict[str, Any]) -> None:
     store = create_store(store_url, meta)
@@ -131,3 +133,30 @@ def test_the_store_can_be_removed_by_its_holder(store_url: str, meta: StoreMeta)
     with store.lock():
         remove_store(store_url)
     assert store.usage().objects == 0
+
+
+@pytest.mark.parametrize("jump", [-(10**7), 10**7])
+def test_a_clock_that_jumps_frees_no_lease(
+    jump: int, store_url: str, meta: StoreMeta, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, now = create_store(store_url, meta), time.time
+    with store.lock() as held:
+        monkeypatch.setattr(time, "time", lambda: now() + jump)
+        with pytest.raises(LockedError, match="in use by process"), open_store(store_url).lock():
+            pass
+        held.check()
+
+
+def test_a_lease_of_a_host_with_another_clock_holds_while_it_is_renewed(
+    store_url: str, meta: StoreMeta, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, storage, sleep = create_store(store_url, meta), Storage(store_url), time.sleep
+    storage.put_json(LOCK_KEY, lease(host="elsewhere", renewed=1000.0))
+
+    def renewed_meanwhile(seconds: float) -> None:
+        storage.put_json(LOCK_KEY, lease(host="elsewhere", renewed=1020.0))
+        sleep(seconds)
+
+    monkeypatch.setattr(time, "sleep", renewed_meanwhile)
+    with pytest.raises(LockedError, match="on elsewhere"), store.lock():
+        pass
