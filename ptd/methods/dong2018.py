@@ -242,6 +242,11 @@ class PartialModel(Model):
         return self._partial
 
 
+def even_edge_m(density_m2: float) -> float:
+    """Edge of the equilateral facets of a TIN of that density: a vertex for each two of them."""
+    return math.sqrt(2.0 / (math.sqrt(3.0) * density_m2))
+
+
 @dataclass(frozen=True)
 class StageOnePass(Pass):
     """Step 3. In a dense cloud only vertices are ground afterwards, as in the paper; else `classic` as it is."""
@@ -272,7 +277,7 @@ class StageOneModel(Model):
         low = self._pits.holds(x, y, z)
         cell = float(state["thin_cell_m"])
         x, y, z = thinned(np.stack([x, y, z])[:, ~low], cell, scale)
-        edge = math.sqrt(2.0 / (math.sqrt(3.0) * state["threshold_m2"]))
+        edge = even_edge_m(state["threshold_m2"])
         limits = replace(params, edge_length_stop_m=max(params.edge_length_stop_m, edge)).limits(scale)
         cells = Cells.of(cell, scale)
         known = window.inside(Cells.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -14,7 +15,7 @@ from ptd import classify
 from ptd.even_tin import BINS, EvenTin
 from ptd.frame import Scale, Window
 from ptd.methods.classic import Classic
-from ptd.methods.dong2018 import JOINED, Dong2018, MeasurePass, NoisePass
+from ptd.methods.dong2018 import JOINED, Dong2018, MeasurePass, NoisePass, even_edge_m
 from ptd.passes import MethodRefusal, Points
 
 from .tiling import classify_tiled, part
@@ -61,6 +62,23 @@ def errors(labels: np.ndarray, ground: np.ndarray) -> tuple[float, float, float]
 @pytest.mark.parametrize(("sigma", "density"), [(0.066, 4.9), (0.027, 29.2)])
 def test_equation_3(sigma: float, density: float) -> None:
     assert PAPER.threshold_m2(sigma) == pytest.approx(density, abs=0.05)
+
+
+def test_facets_as_dense_as_the_threshold() -> None:
+    """Equilateral facets of 2 m: each of sqrt(3) m2, and half a vertex."""
+    assert even_edge_m(1 / (2 * math.sqrt(3))) == pytest.approx(2.0)
+
+
+def test_stage_one_leaves_dense_facets_alone() -> None:
+    xyz, _ = matched_cloud(10, 60.0, 40.0)
+    vertices = [
+        classify(xyz, "dong2018", replace(DEFAULTS, density_k=k, thin_cell_m=0.3), sigma=0.066).stats[
+            "stage-one"
+        ]
+        for k in (0.01, 1.0)
+    ]
+    assert vertices[0]["candidates"] == vertices[1]["candidates"]
+    assert vertices[0]["vertices"] < vertices[1]["vertices"]
 
 
 def test_scales_and_passes() -> None:
