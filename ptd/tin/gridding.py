@@ -213,6 +213,6 @@ def rasterise(
     else:
         owners, marks = pixel_owners(tin, pixels, max_edge=max_edge, max_radius=max_radius, window=window)
         heights = natural.natural_heights(
-            tin.vertex_array, tin.triangle_array, owners, marks, pixels.lattice, window.sides()
+            tin.vertex_array, tin.triangle_array, tin.counters, owners, marks, pixels.lattice, window.sides()
         )
     return Raster(heights, marks.view(np.bool_))

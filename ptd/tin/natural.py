@@ -15,8 +15,8 @@ import numpy as np
 
 from ptd.kernel import kernel, wide
 from ptd.tin.circles import Sides, circle_inside, facet_certified, unbounded
-from ptd.tin.interpolation import Float64Array, canonical_facet, plane_height
-from ptd.tin.layout import HEADER, Int32Array, is_ghost, next_edge, previous_edge
+from ptd.tin.interpolation import Float64Array, canonical_facet, facet_plane, height_on, plane_height
+from ptd.tin.layout import HEADER, N_TRIANGLES, Int32Array, is_ghost, next_edge, previous_edge
 from ptd.tin.predicates import lexicographic_less
 from ptd.tin.raster import NO_OWNER, Lattice, UInt8Array
 
@@ -45,19 +45,25 @@ def _offset(vertices: Int32Array, v: int, x: int, y: int, scale: int) -> tuple[f
 
 
 @kernel
-def _facet_centre(
-    vertices: Int32Array, triangles: Int32Array, triangle: int, x: int, y: int, scale: int
-) -> tuple[float, float]:
-    """Centre of the circumcircle of a real triangle relative to the position."""
-    a, b, c = canonical_facet(vertices, triangles, triangle)
-    ax, ay = _offset(vertices, a, x, y, scale)
-    ox, oy = _centre(
-        float(vertices[4 * b] - vertices[4 * a]),
-        float(vertices[4 * b + 1] - vertices[4 * a + 1]),
-        float(vertices[4 * c] - vertices[4 * a]),
-        float(vertices[4 * c + 1] - vertices[4 * a + 1]),
-    )
-    return ax + ox, ay + oy
+def _facet_centres(vertices: Int32Array, triangles: Int32Array, n: int) -> tuple[Float64Array, Int32Array]:
+    """Centres of the circumcircles of the first n triangles, relative to a vertex of each, and that vertex.
+
+    Computed once: each centre is a corner of the cells of three vertices, for every position near it.
+    """
+    centres = np.empty((n, 2), np.float64)
+    firsts = np.empty(n, np.int32)
+    for triangle in range(n):
+        if is_ghost(triangles, triangle):
+            continue
+        a, b, c = canonical_facet(vertices, triangles, triangle)
+        centres[triangle, 0], centres[triangle, 1] = _centre(
+            float(vertices[4 * b] - vertices[4 * a]),
+            float(vertices[4 * b + 1] - vertices[4 * a + 1]),
+            float(vertices[4 * c] - vertices[4 * a]),
+            float(vertices[4 * c + 1] - vertices[4 * a + 1]),
+        )
+        firsts[triangle] = a
+    return centres, firsts
 
 
 @kernel
@@ -124,6 +130,8 @@ def _rim(
 def _stolen_area(
     vertices: Int32Array,
     triangles: Int32Array,
+    centres: Float64Array,
+    firsts: Int32Array,
     edge: int,
     last_edge: int,
     x: int,
@@ -143,13 +151,14 @@ def _stolen_area(
     ux, uy = after_x - before_x, after_y - before_y
     total = 0.0
     while True:
-        cx, cy = _facet_centre(vertices, triangles, edge >> 3, x, y, scale)
-        cx -= before_x
-        cy -= before_y
+        triangle = edge >> 3
+        ax, ay = _offset(vertices, wide(firsts[triangle]), x, y, scale)
+        cx = ax + centres[triangle, 0] - before_x
+        cy = ay + centres[triangle, 1] - before_y
         total += ux * cy - uy * cx
         ux, uy = cx, cy
-        if edge >> 3 == last_edge >> 3:
-            return total
+        if triangle == last_edge >> 3:
+            return float(total)
         # The edge of this triangle that ends in the vertex, seen from the other side, starts there.
         edge = wide(triangles[previous_edge(edge)])
 
@@ -158,6 +167,8 @@ def _stolen_area(
 def _position_height(
     vertices: Int32Array,
     triangles: Int32Array,
+    centres: Float64Array,
+    firsts: Int32Array,
     rim: Int32Array,
     n: int,
     owner: int,
@@ -166,7 +177,8 @@ def _position_height(
     scale: int,
 ) -> float:
     """Sibson's interpolant at a position strictly inside the hull; `rim` is what `_rim` found."""
-    base = plane_height(vertices, triangles, owner, x, y, scale)
+    plane = facet_plane(vertices, triangles, owner)
+    base = height_on(plane, x, y, scale)
     start = 0
     for i in range(1, n):
         v = 4 * wide(triangles[next_edge(wide(rim[HEADER + i])) + 4])
@@ -185,13 +197,23 @@ def _position_height(
         bx, by = _offset(vertices, wide(triangles[previous_edge(edge) + 4]), x, y, scale)
         after_x, after_y = _centre(ax, ay, bx, by)
         weight = _stolen_area(
-            vertices, triangles, edge, last, x, y, scale, before_x, before_y, after_x, after_y
+            vertices,
+            triangles,
+            centres,
+            firsts,
+            edge,
+            last,
+            x,
+            y,
+            scale,
+            before_x,
+            before_y,
+            after_x,
+            after_y,
         )
-        plane = plane_height(
-            vertices, triangles, owner, scale * vertices[4 * v], scale * vertices[4 * v + 1], scale
-        )
+        below = height_on(plane, scale * wide(vertices[4 * v]), scale * wide(vertices[4 * v + 1]), scale)
         weights += weight
-        rises += weight * (vertices[4 * v + 2] - plane)
+        rises += weight * (vertices[4 * v + 2] - below)
         last = edge
         before_x, before_y = after_x, after_y
     if not (weights > 0.0 and math.isfinite(rises)):
@@ -227,6 +249,7 @@ def _rim_certified(
 def natural_heights(
     vertices: Int32Array,
     triangles: Int32Array,
+    counters: Int32Array,
     owners: Int32Array,
     marks: UInt8Array,
     lattice: Lattice,
@@ -238,7 +261,7 @@ def natural_heights(
 
     Parameters
     ----------
-    vertices, triangles, owners, lattice, sides
+    vertices, triangles, counters, owners, lattice, sides
         As for and from `ptd.tin.raster.scan`.
     marks : uint8 [rows, columns]
         From there; set to 1 where data outside the window could change the neighbours.
@@ -246,6 +269,7 @@ def natural_heights(
     x0, y0, step, scale = lattice
     out = np.empty(owners.shape, np.float64)
     scratch = np.empty(HEADER + 1024, np.int32)
+    centres, firsts = _facet_centres(vertices, triangles, counters[N_TRIANGLES])
     for row in range(owners.shape[0]):
         y = y0 - row * step
         for column in range(owners.shape[1]):
@@ -266,7 +290,9 @@ def natural_heights(
                 if not unbounded(sides):  # data beyond the hull would be neighbours
                     marks[row, column] = 1
                 continue
-            out[row, column] = _position_height(vertices, triangles, scratch, n, owner, x, y, scale)
+            out[row, column] = _position_height(
+                vertices, triangles, centres, firsts, scratch, n, owner, x, y, scale
+            )
             if not unbounded(sides) and not _rim_certified(
                 vertices, triangles, scratch, n, x, y, scale, sides
             ):
