@@ -180,7 +180,10 @@ class Plan:
         """Bytes of store, rasters (three copies while the COG is made) and classified clouds."""
         metres = float(self.meta.frame.metres_xy)
         pixels = self.extent.area() * metres**2 / float(self.resolution) ** 2
-        return int(self.points * STORED_BYTES + 3 * 4 * pixels + 1.2 * sum(s.size for s in self.sources))
+        rasters = len({"dtm", *self.config.products})
+        return int(
+            self.points * STORED_BYTES + 3 * 4 * pixels * rasters + 1.2 * sum(s.size for s in self.sources)
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Everything as plain values."""
@@ -214,6 +217,7 @@ class Plan:
             f"method      {self.config.method}" + _passes_in_words(self.passes),
             f"DTM         {float(self.resolution):g} m pixels, "
             f"nodata beyond facets of {float(self.config.max_edge):g} m",
+            f"products    {', '.join(self.config.products)}",
             f"tiles       about {self.tiles} of {float(self.tile):g} m with {self.halo_m:g} m of halo, "
             f"overlap work {self.overlap:.2f}",
             f"memory      {memory[worst] / 2**20:,.0f} MiB a worker at most ({worst}), "
