@@ -46,8 +46,8 @@ The six steps, and what differs:
    the first one wider than the largest building.
 4. Seeds are cleaned in their TIN (`ptd.seed_clusters`) with the ring of step 5 around them already: else the slivers
    along the hull are the over-long and narrow facets.
-5. The ring is `classic`'s, on a lattice of the largest building: each empty cell up to two cells from seeds, in large
-   voids as well, gets a virtual seed at the interpolated height. Never output.
+5. The ring is `classic`'s, on a lattice of half the largest building: each empty cell up to two cells from seeds, in
+   large voids as well, gets a virtual seed at the interpolated height. Never output.
 6. Batches; then our last pass labels all points.
 """
 
@@ -89,12 +89,12 @@ class Chen2023(Progressive):
     """Parameters of `chen2023`; see the module's table."""
 
     max_building_size_m: float = parameter(
-        30.0, "the largest building that the windows take out, and the cells of the ring of virtual seeds", unit="m",
+        30.0, "the largest building that the windows take out; the ring's cells are half of it", unit="m",
         minimum=1.0, maximum=1000.0, source="001 3.2 (1)",
     )  # fmt: skip
     thin_cell_m: float = parameter(
         1.0, "c: cells of the minimum raster, whose lowest points alone can become vertices", unit="m", minimum=0.1,
-        maximum=100.0, source="001 2.2 A",
+        maximum=10.0, source="001 2.2 A",
     )  # fmt: skip
     initial_window: int = parameter(
         1,
@@ -151,6 +151,11 @@ class Chen2023(Progressive):
         super().__post_init__()
         if self.exponential_windows and self.initial_window < 2:
             raise ValueError("initial_window 1: exponential windows never grow from 1; use 2 or more")
+        if self.thin_cell_m > self.max_building_size_m:
+            raise ValueError(
+                f"thin_cell_m {self.thin_cell_m:g}: windows are made of such cells; use at most max_building_size_m, "
+                f"{self.max_building_size_m:g} m"
+            )
 
     @property
     def passes(self) -> tuple[Pass, ...]:
@@ -166,10 +171,14 @@ class Chen2023(Progressive):
 
     @property
     def halo_m(self) -> float:
-        """The widest window, a cell of the ring, 8 m for each round."""
-        return (
-            max(self.widths) * self.thin_cell_m + self.max_building_size_m + 8.0 * min(self.rounds or 30, 30)
-        )
+        """The widest window, four cells of the ring, 8 m for each round: measured to certify most tiles of a city."""
+        window = max(self.widths) * self.thin_cell_m
+        return window + 4.0 * self.ring_cell_m + 8.0 * min(self.rounds or 30, 30)
+
+    @property
+    def ring_cell_m(self) -> float:
+        """Half the largest building: smaller cells bound circles closer, and tiles need less halo."""
+        return self.max_building_size_m / 2.0
 
     @property
     def margin_cells(self) -> int:
@@ -245,7 +254,7 @@ class ChenModel(Model):
 
     def _densify(self, x: Int32, y: Int32, z: Int32, outlier: Bool, window: Window) -> None:
         p, scale = self.params, self._scale
-        ring_cells = Cells.of(p.max_building_size_m, scale)
+        ring_cells = Cells.of(p.ring_cell_m, scale)
         # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
         known = window.inside(self._cells, p.margin_cells)
         doubt = Doubt(known, known.inside(ring_cells, RING), box_with_ring(x, y, ring_cells), scale)
