@@ -184,6 +184,8 @@ def contradicted(
     from scipy.special import stdtrit
 
     n = tin.n_vertices
+    if confidence == 1.0:
+        return np.zeros(n, np.bool_)
     arrays = tin.vertex_array, tin.triangle_array
     in_doubt = doubt.triangles(*arrays, tin.n_triangles)
     statistic, residual = np.zeros(n), np.zeros(n)

@@ -87,7 +87,7 @@ def _tally(
     x: Int32, y: Int32, z: Int32, in_doubt: UInt8, limits: Limits, floor: float,
     now: Int32, home: Int32, again: Bool, terrain: Bool,
 ) -> tuple[int, int]:  # fmt: skip
-    """Label the points whose triangle changed; how many are terrain, and of how many that is not certain.
+    """Label the points whose triangle changed; how many became terrain, and of how many the label is not certain.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def _tally(
     again : bool [n]
         The label rests on other triangles as well.
     """
-    n_terrain = n_unsure = t = 0
+    n_gained = n_unsure = t = 0
     for i in range(x.size):
         h = wide(home[i])
         if h >= 0 and not again[i] and now[h] == -1:
@@ -112,17 +112,18 @@ def _tally(
             unsure = in_doubt[t] != 0
         else:
             t = locate(vertices, triangles, x[i], y[i], t)
-            terrain[i], again[i], unsure = is_terrain(
+            is_now, again[i], unsure = is_terrain(
                 vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
             )
+            n_gained += is_now and not terrain[i]
+            terrain[i] = is_now
         home[i] = t
-        n_terrain += terrain[i]
         n_unsure += unsure
-    return n_terrain, n_unsure
+    return n_gained, n_unsure
 
 
 class Tally:
-    """Counts the terrain class in one TIN after another; only what lies in changed triangles is labelled again.
+    """Counts what joins the terrain class in one TIN after another; only what lies in changed triangles is labelled.
 
     Parameters
     ----------
@@ -131,16 +132,18 @@ class Tally:
     limits : Limits
     floor : float
         See `ptd.labelling.label_points`, whose labels are counted.
+    terrain : bool [n]
+        The class before the first TIN: the seeds. Kept up to date.
     """
 
-    def __init__(self, x: Int32, y: Int32, z: Int32, limits: Limits, floor: float) -> None:
+    def __init__(self, x: Int32, y: Int32, z: Int32, limits: Limits, floor: float, terrain: Bool) -> None:
         self._points, self._limits, self._floor = (x, y, z), limits, floor
         self._home = np.full(x.size, -1, np.int32)
-        self._again, self._terrain = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
+        self._again, self._terrain = np.zeros(x.size, np.bool_), terrain
         self._tin: Tin | None = None
 
     def count(self, tin: Tin, in_doubt: UInt8) -> tuple[int, int]:
-        """Points of the terrain class, and points of which it is not certain whether they are."""
+        """Points of the terrain class that were not in it before, and points of which the label is not certain."""
         last = self._tin or tin
         self._tin = tin
         return _tally(

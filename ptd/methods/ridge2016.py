@@ -26,15 +26,16 @@ Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ptd.ridges`); seed 
 `ptd.conicoid`); densification (2.3, equations 11 and 12, `ptd.thinned`).
 
 Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both are figures of the run,
-which no tile knows. So a first pass runs all rounds and counts the terrain of each tile's core after each; their sums
-tell which round is the last, and the second pass runs exactly as many. Twice the work, but no tile ends earlier than
-its neighbour. Near the edges of its window a tile cannot be sure of its count; how unsure is summed as well, and if it
-could move the last round a note says so.
+which no tile knows. So a first pass runs all rounds and counts in each the points of its tile's core that join the
+class; their sums tell which round is the last, and the second pass runs exactly as many. Twice the work, but no tile
+ends earlier than its neighbour. Near the edges of its window a tile cannot be sure of its count; how unsure is summed
+as well, and if it could move the last round a note says so.
 
 Deviations: seeds are judged against one TIN and dropped together, since one after the other depends on their order;
-virtual seeds around the data (`ptd.seeds`) neither make ridges nor take part in fits; the terrain class is counted as
-it is labelled, with the floor of the last pass: by the facet test alone, points beside a new vertex leave the class,
-and it shrinks; low outliers are taken out first (of the paper's data nothing is said).
+virtual seeds around the data (`ptd.seeds`) neither make ridges nor take part in fits; growth is what joins the class,
+not less what leaves it (beside new vertices the facet test gets stricter: in the second round the class often shrinks
+while the TIN climbs on), and the class is that of the last pass, with its floor; low outliers are taken out first (of
+the paper's data nothing is said).
 """
 
 from __future__ import annotations
@@ -126,7 +127,7 @@ class Ridge2016(Progressive):
 
 @dataclass(frozen=True)
 class GrowthPass(Pass):
-    """All rounds, to count the terrain class after each, and in `reduce` the round that is the last."""
+    """All rounds, to count what joins the terrain class in each, and in `reduce` the round that is the last."""
 
     params: Ridge2016
     name: str = "growth"
@@ -137,46 +138,38 @@ class GrowthPass(Pass):
         return GrowthModel(self.params, points.xyz, window, core, scale)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """State with ``ridge2016``: ``rounds`` to run; ``points``, ``terrain`` and ``unsure`` of the run."""
-        n = self.params.rounds
-        points, terrain, unsure = 0, [0] * (n + 1), [0] * (n + 1)
+        """State with ``ridge2016``: ``rounds`` to run; ``points``, ``gained`` and ``unsure`` of the run."""
+        points, gained, unsure = 0, [0] * self.params.rounds, [0] * self.params.rounds
         for part in partials:
             points += part["points"]
-            terrain = [a + b for a, b in zip(terrain, part["terrain"], strict=True)]
+            gained = [a + b for a, b in zip(gained, part["gained"], strict=True)]
             unsure = [a + b for a, b in zip(unsure, part["unsure"], strict=True)]
-        last, note = last_round(points, terrain, unsure, self.params.growth)
-        found = {
-            "rounds": last,
-            "points": points,
-            "terrain": terrain[: last + 1],
-            "unsure": unsure[: last + 1],
-        }
+        last, note = last_round(points, gained, unsure, self.params.growth)
+        found = {"rounds": last, "points": points, "gained": gained[:last], "unsure": unsure[:last]}
         return {**state, "ridge2016": found, "notes": [*state.get("notes", []), note]}
 
 
-def last_round(points: int, terrain: list[int], unsure: list[int], growth: float) -> tuple[int, str]:
-    """The round whose growth of the terrain class is at most a share of all points, and what to tell of it.
+def last_round(points: int, gained: list[int], unsure: list[int], growth: float) -> tuple[int, str]:
+    """The round in which at most a share of all points joined the terrain class, and what to tell of it.
 
     Parameters
     ----------
     points : int
-    terrain : list of int
-        N_ground of equation 11: of the seeds, then after each round.
+    gained : list of int
+        Points that joined it in each round.
     unsure : list of int
-        Points of which that is not certain, as they lie near a tile's edge.
+        Points whose label is not certain after each round, as they lie near a tile's edge.
     growth : float
-        p_min.
+        p_min of equation 11.
     """
     limit = Fraction(repr(float(growth))) * points
-    steps = [after - before for before, after in pairwise(terrain)]
-    slack = [after + before for before, after in pairwise(unsure)]
-    last = next((k + 1 for k, step in enumerate(steps) if step <= limit), len(steps))
-    share = 100 * steps[last - 1] / max(points, 1)
+    last = next((k for k, n in enumerate(gained, 1) if n <= limit), len(gained))
+    share = 100 * gained[last - 1] / max(points, 1)
     note = f"densification ends after {last} rounds, the last of which added {share:.2f} % of all points to the terrain"
-    if steps[last - 1] > limit:
+    if gained[last - 1] > limit:
         note += f": still more than {100 * growth:g} %, but no more rounds were wanted"
-    if any((step <= limit) != (step + s <= limit) or (step <= limit) != (step - s <= limit)
-           for step, s in zip(steps[:last], slack[:last], strict=True)):  # fmt: skip
+    slack = [before + after for before, after in pairwise([0, *unsure[:last]])]
+    if any((n - s <= limit) != (n + s <= limit) for n, s in zip(gained[:last], slack, strict=True)):
         note += "; points near tile edges could change that: a wider halo makes it certain"
     return last, note
 
@@ -270,44 +263,35 @@ def _positions(x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]) -> npt.NDArra
 
 
 class GrowthModel(Model):
-    """The terrain class of a window's core, round by round."""
+    """What joins the terrain class of a window's core, round by round."""
 
     def __init__(self, params: Ridge2016, xyz: Int32, window: Window, core: Window, scale: Scale) -> None:
         self.stats: dict[str, Any] = {"points": int(xyz.shape[1]), "rounds": 0}
         self._points = int(_within(xyz[0], xyz[1], core).sum())
-        self._terrain, self._unsure = [0], [0]
+        self._gained, self._unsure = np.zeros(params.rounds, np.int64), np.zeros(params.rounds, np.int64)
         if xyz.shape[1]:
             prepared = Prepared(params, xyz, window, scale)
-            self._count(prepared, params, core)
-            self.stats.update(prepared.counts, rounds=len(self._terrain) - 1)
-        # What the rounds that would change nothing would count.
-        missing = params.rounds + 1 - len(self._terrain)
-        self._terrain = self._terrain + missing * self._terrain[-1:]
-        self._unsure = self._unsure + missing * self._unsure[-1:]
+            self.stats.update(prepared.counts, rounds=self._count(prepared, core))
 
-    def _count(self, prepared: Prepared, params: Ridge2016, core: Window) -> None:
+    def _count(self, prepared: Prepared, core: Window) -> int:
         s = prepared.stacks
         own = _within(s.x, s.y, core)
-        x, y, z = s.x[own], s.y[own], s.z[own]
         seed = np.zeros(own.size, np.bool_)
         seed[prepared.seeds] = True
-        self._terrain, self._unsure = (
-            [int(seed[own].sum())],
-            [int(prepared.doubt.covers(x, y)[seed[own]].sum())],
-        )
-        tally = Tally(x, y, z, prepared.limits, prepared.floor)
-        for tin, in_doubt in islice(prepared.rounds(), params.rounds):
-            terrain, unsure = tally.count(tin, in_doubt)
-            self._terrain.append(terrain)
-            self._unsure.append(unsure)
+        tally = Tally(s.x[own], s.y[own], s.z[own], prepared.limits, prepared.floor, seed[own])
+        done = 0
+        for done, (tin, in_doubt) in enumerate(islice(prepared.rounds(), self._gained.size), 1):
+            # Rounds that are not run would add nothing, and change nothing of what is not certain.
+            self._gained[done - 1], self._unsure[done - 1 :] = tally.count(tin, in_doubt)
+        return done
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Not called: the pass only counts."""
         raise NotImplementedError
 
     def partial(self) -> dict[str, Any]:
-        """``points``, and after each round ``terrain`` and ``unsure`` of the core."""
-        return {"points": self._points, "terrain": self._terrain, "unsure": self._unsure}
+        """``points`` of the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
+        return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._unsure.tolist()}
 
 
 class RidgeModel(Model):

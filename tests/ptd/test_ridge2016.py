@@ -93,39 +93,37 @@ def test_any_few_points_are_labelled(points: list[tuple[int, int, int]], spacing
 
 
 def test_the_last_round_by_hand() -> None:
-    """10000 points, 0.001 of them are 10: growth 500, 60, 11, 10."""
-    terrain = [100, 600, 660, 671, 681, 691]
-    last, note = last_round(10_000, terrain, [0] * 6, 0.001)
+    """10000 points, 0.001 of them are 10."""
+    gained = [500, 60, 11, 10, 9]
+    last, note = last_round(10_000, gained, [0] * 5, 0.001)
     assert last == 4
     assert (
         note
         == "densification ends after 4 rounds, the last of which added 0.10 % of all points to the terrain"
     )
-    assert last_round(11_000, terrain, [0] * 6, 0.001)[0] == 3
-    last, note = last_round(10_000, terrain, [0] * 6, 0.0009)
+    assert last_round(11_000, gained, [0] * 5, 0.001)[0] == 3
+    last, note = last_round(10_000, gained, [0] * 5, 0.0008)
     assert last == 5
-    assert note.endswith("still more than 0.09 %, but no more rounds were wanted")
+    assert note.endswith("still more than 0.08 %, but no more rounds were wanted")
 
 
 def test_points_near_edges_are_told_where_they_could_change_the_last_round() -> None:
-    terrain = [100, 600, 660, 671, 681]
-    assert "wider halo" not in last_round(10_000, terrain, [0, 3, 0, 0, 0], 0.001)[1]
-    assert "wider halo" in last_round(10_000, terrain, [0, 0, 0, 1, 0], 0.001)[1]
-
-
-def test_a_shrinking_terrain_class_ends_the_rounds() -> None:
-    assert last_round(100, [5, 50, 49, 90], [0] * 4, 0.001)[0] == 2
+    gained = [500, 60, 11, 10]
+    assert "wider halo" not in last_round(10_000, gained, [3, 0, 0, 0], 0.001)[1]
+    assert "wider halo" in last_round(10_000, gained, [0, 1, 0, 0], 0.001)[1]
+    assert "wider halo" in last_round(10_000, gained, [0, 0, 0, 1], 0.001)[1]
+    assert "wider halo" not in last_round(11_000, gained, [0, 0, 0, 1], 0.001)[1]
 
 
 def test_partials_add_up_in_any_order() -> None:
     step = Ridge2016(rounds=2).passes[0]
     parts = [
-        {"points": 700, "terrain": [3, 200, 201], "unsure": [0, 1, 1]},
-        {"points": 300, "terrain": [2, 100, 100], "unsure": [0, 0, 0]},
+        {"points": 700, "gained": [200, 1], "unsure": [1, 1]},
+        {"points": 300, "gained": [100, 0], "unsure": [0, 0]},
     ]
     state = step.reduce(parts, {"run": {}, "notes": ["before"]})
     assert state == step.reduce(parts[::-1], {"run": {}, "notes": ["before"]})
-    assert state["ridge2016"] == {"rounds": 2, "points": 1000, "terrain": [5, 300, 301], "unsure": [0, 1, 1]}
+    assert state["ridge2016"] == {"rounds": 2, "points": 1000, "gained": [300, 1], "unsure": [1, 1]}
     assert state["notes"][0] == "before"
     assert len(state["notes"]) == 2
 
@@ -139,12 +137,12 @@ def test_without_a_growth_to_watch_there_is_one_pass() -> None:
 
 def test_the_last_pass_runs_the_rounds_that_were_decided() -> None:
     cloud = SCENES["hills_with_houses"](np.random.default_rng(7))
-    result = ptd.classify(cloud.T / CM, "ridge2016", Ridge2016(low_group=0, growth=0.01))
+    result = ptd.classify(cloud.T / CM, "ridge2016", Ridge2016(growth=0.01))
     statistics = result.decisions["statistics"]["ridge2016"]
     assert result.stats["ridge2016"]["rounds"] == statistics["rounds"] < result.stats["growth"]["rounds"]
-    assert len(statistics["terrain"]) == statistics["rounds"] + 1
-    # What was counted last are the labels.
-    assert statistics["terrain"][-1] == (result.classification == 2).sum()
+    assert len(statistics["gained"]) == statistics["rounds"]
+    assert statistics["gained"][-1] <= 0.01 * statistics["points"] < min(statistics["gained"][:-1])
+    assert statistics["points"] == cloud.shape[1]
 
 
 def tiled(
