@@ -116,8 +116,8 @@ class Ridge2016(Progressive):
 
     @property
     def halo_m(self) -> float:
-        """Two seed cells for the first TIN's circles, two more for what decides on ridges and seeds, 8 m a round."""
-        return 4.0 * self.max_building_size_m + 8.0 * self.rounds
+        """Seven seed cells for what decides on ridges and seeds, 30 m for the rounds: measured on a city's edge."""
+        return 7.0 * self.max_building_size_m + 30.0
 
     @property
     def candidate_cell_m(self) -> float:
