@@ -94,6 +94,13 @@ class Model(ABC):
         """What the window's core adds to the run's statistics, JSON-able; each point is in one core."""
         return {}
 
+    def uncertain(self) -> int:
+        """How many points of the core `partial` may count wrongly for want of what lies beyond the window.
+
+        Like a core that carries a mark, one with such points is done again with a wider halo.
+        """
+        return 0
+
 
 class Pass(ABC):
     """One step of a method that needs no more than a window and the state.

@@ -28,8 +28,8 @@ Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ptd.ridges`); seed 
 Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both are figures of the run,
 which no tile knows. So a first pass runs all rounds and counts in each the points of its tile's core that join the
 class; their sums tell which round is the last, and the second pass runs exactly as many. Twice the work, but no tile
-ends earlier than its neighbour. Near the edges of its window a tile cannot be sure of its count; how unsure is summed
-as well, and if it could move the last round a note says so.
+ends earlier than its neighbour. A tile that is not certain of its count is done again with a wider halo; what stays
+uncertain is summed as well, and if it could move the last round a note says so.
 
 Deviations: seeds are judged against one TIN and dropped together, since one after the other depends on their order;
 virtual seeds around the data (`ptd.seeds`) neither make ridges nor take part in fits; growth is what joins the class,
@@ -292,6 +292,10 @@ class GrowthModel(Model):
     def partial(self) -> dict[str, Any]:
         """``points`` of the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
         return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._unsure.tolist()}
+
+    def uncertain(self) -> int:
+        """Points whose label is not certain after some round."""
+        return int(self._unsure.max(initial=0))
 
 
 class RidgeModel(Model):

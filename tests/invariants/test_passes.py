@@ -156,6 +156,49 @@ def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
     assert wider.projected_memory()["filter"] > ours.projected_memory()["filter"]
 
 
+class Wary(Model):
+    """Not certain with less than 20 m around its core."""
+
+    def __init__(self, beyond: int) -> None:
+        self.stats, self.beyond = {}, beyond
+
+    def label(self, points: Points) -> Any:
+        raise NotImplementedError
+
+    def partial(self) -> dict[str, Any]:
+        return {"beyond": self.beyond}
+
+    def uncertain(self) -> int:
+        return int(self.beyond < 20_000)
+
+
+class HowFar(Pass):
+    name, gives_labels = "far", False
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+        return Wary(min(core.west - window.west, core.south - window.south))
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        return {**state, "mean": 0, "beyond": min(p["beyond"] for p in partials)}
+
+
+@dataclass(frozen=True)
+class WaryParameters(Parameters):
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        return (HowFar(), SplitByMean())
+
+
+def test_a_pass_that_only_measures_is_done_again_until_it_is_certain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Halos of 8, 16, 32 m."""
+    monkeypatch.setitem(METHODS, "wary", Method("wary", "two passes", WaryParameters))
+    path = clouds.write(tmp_path / "city.laz", clouds.city(150.0))
+    result = do(path, tmp_path / "out", "filter", method="wary", tile_size="32", halo=None)
+    assert result.summary["statistics"]["far"]["beyond"] == 32_000
+
+
 def test_a_new_file_with_the_statistics_of_before_changes_only_its_surroundings(tmp_path: Path) -> None:
     west, east = clouds.city(96.0), clouds.city(32.0, seed=2)
     clouds.write(tmp_path / "in" / "west.laz", west)

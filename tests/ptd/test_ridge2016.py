@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 
 import ptd
 from ptd.frame import OPEN, Scale, Window
+from ptd.methods import make_params
 from ptd.methods.ridge2016 import Ridge2016, last_round
 from ptd.passes import Points
+from ptd.tin.mesh import Tin
 
 from .scenes import CM, SCENES, Cloud
 from .test_certify import cut, opened
@@ -128,6 +130,17 @@ def test_partials_add_up_in_any_order() -> None:
     assert len(state["notes"]) == 2
 
 
+def test_a_count_near_the_edge_of_a_window_is_not_certain() -> None:
+    cloud = SCENES["plane"](np.random.default_rng(1))
+    core = Window(7_000, 5_000, 9_000, 7_000)
+    for window, certain in ((EVERYTHING, True), (Window(5_000, 4_000, 11_000, 9_000), False)):
+        part = np.ascontiguousarray(cloud[:, cut(cloud, window)])
+        model = SMALL.passes[0].fit(Points(part), window, core, SCALE, {})
+        assert (model.uncertain() == 0) == certain
+        assert model.partial()["points"] == cut(cloud, core).sum()
+        assert max(model.partial()["unsure"]) == model.uncertain()
+
+
 def test_without_a_growth_to_watch_there_is_one_pass() -> None:
     (only,) = Ridge2016(growth=0.0, rounds=3).passes
     model = only.fit(Points(SCENES["plane"](np.random.default_rng(1))), EVERYTHING, EVERYTHING, SCALE, {})
@@ -227,3 +240,24 @@ def test_on_the_isprs_samples_the_mean_total_error_is_below_7_percent(shared_dat
         found = ptd.classify(np.column_stack([las.x, las.y, las.z]), "ridge2016").classification
         errors.append(float(((found == 2) != (np.asarray(las.classification) == 2)).mean()))
     assert np.mean(errors) <= 0.07, dict(zip(SAMPLES, errors, strict=True))
+
+
+@pytest.mark.slow
+def test_on_a_mountain_beside_a_settlement_the_terrain_is_better_than_that_of_classic() -> None:
+    """The paper's comparison (25 % less RMSE than `classic`), with the paper's parameters and with our defaults."""
+    from tiler.simulate.catalogue import make_scene
+
+    scene = make_scene("als_mountain")
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(10.5, 290), np.arange(10.5, 290)))
+    truth = scene.truth(x, y)
+
+    def rmse(method: str, **texts: str) -> float:
+        found = ptd.classify(scene.xyz, method, make_params(method, texts)).classification == 2
+        tin = Tin.build(*np.rint(scene.xyz[found].T * 1000).astype(np.int32))
+        heights = tin.heights((x * 1000).astype(np.int32), (y * 1000).astype(np.int32)) / 1000
+        return float(np.sqrt(np.nanmean((heights - truth) ** 2)))
+
+    paper = {"iteration_angle": "6", "edge_length_reduce": "0", "edge_length_stop": "1"}
+    ours = rmse("ridge2016", **paper, label_floor="0", rounds="60")
+    assert ours < 0.75 * rmse("classic", **paper, label_pass="no", rounds="0")
+    assert rmse("ridge2016") < 0.75 * min(rmse("classic"), ours)

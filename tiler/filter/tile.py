@@ -40,9 +40,10 @@ def sight_m(step: Pass, params: Any) -> float:
 def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     """Filter one tile.
 
-    A core that carries a mark is done again with twice the halo, up to ``max_halo``; what stays marked
-    keeps its mark (bit 7 of the label) and is counted. The window of a pass with a fixed reach is core and halo as
-    they are; that of any other is widened to the method's lattice, and knows where the data end.
+    A core that carries a mark, or of whose statistics the pass is not certain, is done again with twice the halo, up
+    to ``max_halo``; what stays marked keeps its mark (bit 7 of the label) and is counted. The window of a pass with a
+    fixed reach is core and halo as they are; that of any other is widened to the method's lattice, and knows where the
+    data end.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         model = step.fit(points, known, inner, scale, args["state"])
         labels = {cell: _label(store, cell, step, model, args) for cell in cells} if step.gives_labels else {}
         marked = sum(int(np.count_nonzero(found & MARK_BIT)) for found in labels.values())
-        if marked == 0 or halo >= args["max_halo"]:
+        if (marked == 0 and model.uncertain() == 0) or halo >= args["max_halo"]:
             break
         halo = min(2 * halo, int(args["max_halo"]))
     if inherited:  # what a doubtful label of the pass before may have changed
