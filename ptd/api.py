@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.frame import Scale, Window
+from ptd.cells import lowest_per_cell
+from ptd.frame import Cells, Scale, Window
 from ptd.methods import METHODS
 from ptd.params import to_json
 from ptd.passes import Points, RunFacts
@@ -94,11 +95,17 @@ def classify(
     state: dict[str, Any] = {"run": asdict(RunFacts(rgb is not None, sigma))}
     labels = np.zeros(len(points), np.uint8)
     stats = {}
+    candidates: Any = slice(None)
+    if params.candidate_cell_m and not all(step.every_point for step in params.passes):
+        candidates = lowest_per_cell(
+            counts[0], counts[1], counts[2], Cells.of(params.candidate_cell_m, scale)
+        )
     for step in params.passes:
         given = Points(counts, labels if "labels" in step.columns else None, **{
             name: column for name, column in columns.items() if name in step.columns
         })  # fmt: skip
-        model = step.fit(given, window, window, scale, state)
+        seen = given if step.every_point else given.take(candidates)
+        model = step.fit(seen, window, window, scale, state)
         if step.gives_labels:
             labels, _ = model.label(given)
         stats[step.name] = model.stats

@@ -92,6 +92,31 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
     return _lowest_sorted(x, y, z, keys, np.argsort(keys, kind="stable"))
 
 
+def occupied(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
+    """Sorted keys of the cells that hold a point, and the index among them of each point's cell.
+
+    Parameters
+    ----------
+    keys : int64 [n]
+        From 0 on.
+    n_cells : int
+        More than the largest key: how many cells a raster has.
+
+    Returns
+    -------
+    found : int64 [m]
+    slot : int64 [n]
+    """
+    if n_cells > DENSE_CELLS_PER_POINT * keys.size + 1024:
+        found, slot = np.unique(keys, return_inverse=True)
+        return found, slot
+    slots = np.zeros(n_cells, np.int64)
+    slots[keys] = 1
+    found = np.flatnonzero(slots)
+    slots[found] = np.arange(found.size)
+    return found, slots[keys]
+
+
 class CellIndex:
     """Points listed by cell, for searches among neighbours; memory grows with the points, not with the extent.
 

@@ -105,6 +105,7 @@ def _is_near(
     in_doubt: UInt8,
     limits: Limits,
     floor: float,
+    per_slope: float,
 ) -> tuple[bool, bool]:
     """Whether a point in triangle t, which may be a ghost, lies near it in height, and whether that is doubtful."""
     doubtful = in_doubt[t] != 0
@@ -115,8 +116,8 @@ def _is_near(
         return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, doubtful
     doubtful = doubtful or in_doubt[across(vertices, triangles, t, x, y)] != 0
     distance, _nearest, cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
-    # The distance to a facet is the height above it times the cosine of its slope.
-    return abs(distance) <= floor * math.sqrt(cos2), doubtful
+    # The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
+    return abs(distance) <= floor * math.sqrt(cos2) + per_slope * math.sqrt(max(1.0 - cos2, 0.0)), doubtful
 
 
 @kernel
@@ -137,6 +138,7 @@ def _label(
     floor: float,
     vertices_only: bool,
     heights_only: bool,
+    per_slope: float,
     labels: UInt8,
     marked: npt.NDArray[np.bool_],
 ) -> None:
@@ -150,7 +152,9 @@ def _label(
             labels[i], marked[i] = 1, in_doubt[t] != 0
             continue
         if heights_only:
-            terrain, marked[i] = _is_near(vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor)
+            terrain, marked[i] = _is_near(
+                vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor, per_slope
+            )
         else:
             terrain, _elsewhere, marked[i] = is_terrain(
                 vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
@@ -168,7 +172,7 @@ def label_points(
     limits: Limits,
     floor: float,
     vertices_only: bool = False,
-    heights_only: bool = False,
+    per_slope: float | None = None,
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Ground or not, against the finished TIN.
 
@@ -190,8 +194,9 @@ def label_points(
         Horizontal counts.
     vertices_only : bool
         Without a last pass: only what lies on a vertex, at its height, is ground.
-    heights_only : bool
-        Ground is what lies no more than ``floor`` above or below the TIN, measured upright, whatever its angle.
+    per_slope : float, optional
+        Ground is what lies no more than ``floor + per_slope * slope`` (horizontal counts, slope of the facet; on a
+        vertex the floor) above or below the TIN, measured upright, whatever its angle.
 
     Returns
     -------
@@ -206,7 +211,7 @@ def label_points(
         g = locator
         _label(
             tin.vertex_array, tin.triangle_array, x, y, z, g.grid, g.west, g.south, g.cell, g.height, g.width,
-            in_doubt, limits, floor, vertices_only, heights_only, labels, marked,
+            in_doubt, limits, floor, vertices_only, per_slope is not None, per_slope or 0.0, labels, marked,
         )  # fmt: skip
     return labels, marked
 
@@ -235,9 +240,11 @@ class LowNoise:
         """Whether points are low noise: bool [n]."""
         if self._cell_keys.size == 0:
             return np.zeros(z.size, np.bool_)
-        keys = self._keys(x, y)
+        found: npt.NDArray[np.bool_] = z <= self._heights.max()
+        deep = np.flatnonzero(found)
+        keys = self._keys(x[deep], y[deep])
         place = np.minimum(np.searchsorted(self._cell_keys, keys), self._cell_keys.size - 1)
-        found: npt.NDArray[np.bool_] = (self._cell_keys[place] == keys) & (z <= self._heights[place])
+        found[deep] = (self._cell_keys[place] == keys) & (z[deep] <= self._heights[place])
         return found
 
     def _keys(self, x: Int32, y: Int32) -> Int64:
@@ -259,7 +266,8 @@ class Terrain:
     limits : Limits
     floor : float
         See `label_points`.
-    vertices_only, heights_only : bool
+    vertices_only : bool
+    per_slope : float, optional
         See `label_points`.
     """
 
@@ -271,10 +279,10 @@ class Terrain:
         limits: Limits,
         floor: float,
         vertices_only: bool = False,
-        heights_only: bool = False,
+        per_slope: float | None = None,
     ) -> None:
         self.tin, self._in_doubt, self._low, self._limits = tin, in_doubt, low, limits
-        self._floor, self._vertices_only, self._heights_only = floor, vertices_only, heights_only
+        self._floor, self._vertices_only, self._per_slope = floor, vertices_only, per_slope
         self._locator = Locator(tin)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
@@ -282,7 +290,7 @@ class Terrain:
         x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
         labels, marked = label_points(
             self.tin, self._locator, x, y, z, self._in_doubt, self._limits, self._floor,
-            self._vertices_only, self._heights_only,
+            self._vertices_only, self._per_slope,
         )  # fmt: skip
         labels[(labels != GROUND) & self._low.holds(x, y, z)] = LOW_NOISE
         return labels, marked

@@ -190,10 +190,12 @@ def _keep_steepest(before: Int32, after: Int32, allowance: float, radius: float,
 
 
 def steepest_drops(heights: Int32, radii: Sequence[float], allowance: float) -> tuple[Float32, Int32]:
-    """Open with ever larger disks, each time what the last opening left, and watch how far each cell drops.
+    """Open with ever larger disks and watch how far each cell drops from one opening to the next.
 
-    A cell drops by more than ``allowance + s * radius`` with some disk if its steepest drop is above s: thresholds that
-    grow with the disk can be chosen, and differ from cell to cell, after the openings.
+    Each opens the raster as it is, not what the last one left: so a cell's result depends on nothing farther than twice
+    the last radius, and discrete disks, which are no unions of smaller ones, cannot creep up a slope. A cell drops by
+    more than ``allowance + s * radius`` with some disk if its steepest drop is above s: thresholds that grow with the
+    disk can be chosen, and differ from cell to cell, after the openings.
 
     Parameters
     ----------
@@ -211,10 +213,10 @@ def steepest_drops(heights: Int32, radii: Sequence[float], allowance: float) -> 
     opened : int32 [rows, columns]
         After the last opening.
     """
-    opened, filled, centres = _framed(heights)
-    steepest = np.full(opened.shape, -np.inf, np.float32)
+    framed, filled, centres = _framed(heights)
+    steepest, opened = np.full(framed.shape, -np.inf, np.float32), framed
     for radius in radii:
-        before, opened = opened, _open(opened, radius, filled, centres)
+        before, opened = opened, _open(framed, radius, filled, centres)
         _keep_steepest(before, opened, float(allowance), float(radius), steepest)
     return steepest[_INNER], opened[_INNER]
 
@@ -272,6 +274,24 @@ def _slopes(means: Float64, reach: int, out: Float64) -> None:
             right = _rise(means[r, c - reach], own, means[r, c + reach])
             up = _rise(means[r - reach, c], own, means[r + reach, c])
             out[row, column] = math.sqrt(right * right + up * up) / reach
+
+
+def box_means(values: Int32, reach: int) -> Float64:
+    """Means of the filled cells up to `reach` from each cell, in both directions.
+
+    Parameters
+    ----------
+    values : int32 [rows, columns]
+        `EMPTY` where there is none.
+    reach : int
+        Cells, at least 1.
+
+    Returns
+    -------
+    float64 [rows, columns]
+        NaN where no cell of the box is filled; the sums are whole numbers, so they are exact.
+    """
+    return _box_means(np.ascontiguousarray(values), reach)[reach:-reach, reach:-reach]
 
 
 def slopes(heights: Int32, reach: int) -> Float64:

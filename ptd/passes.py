@@ -70,6 +70,14 @@ class Points:
     def __len__(self) -> int:
         return int(self.xyz.shape[1])
 
+    def take(self, index: npt.NDArray[Any] | slice) -> Points:
+        """The points of an index or mask, in that order."""
+
+        def taken(column: Any) -> Any:
+            return None if column is None else np.ascontiguousarray(column[..., index])
+
+        return Points(taken(self.xyz), taken(self.labels), taken(self.rgb), taken(self.returns))
+
 
 class Model(ABC):
     """A window after a pass.

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys
+from ptd.cells import Int32, Int64, cell_keys, occupied
 from ptd.frame import Cells, Scale, Window
 from ptd.kernel import kernel
 
@@ -220,7 +220,7 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
     width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
     point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
-    keys, slot = np.unique(point_keys, return_inverse=True)
+    keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
     corner_x = np.array([cells.west(int(k) % width + col0) for k in keys], np.int64)
     corner_y = np.array([cells.south(int(k) // width + row0) for k in keys], np.int64)
     low, high = np.full(keys.size, 2**40, np.int64), np.full(keys.size, -(2**40), np.int64)

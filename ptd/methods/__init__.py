@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from ptd.methods import chen2023, classic, dong2017, dong2018, rarefy, ridge2016
+from ptd.methods import auto, chen2023, classic, dong2017, dong2018, rarefy, ridge2016
 from ptd.params import parse
 from ptd.passes import Method
 
 METHODS: dict[str, Method] = {
     m.name: m
     for m in (
+        auto.METHOD,
         classic.METHOD,
         chen2023.METHOD,
         dong2017.METHOD,

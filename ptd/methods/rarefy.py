@@ -67,7 +67,7 @@ class RarefyModel(ClassicModel):
     def _terrain(self, tin: Tin, in_doubt: UInt8, low: LowNoise) -> Terrain:
         p = self.params
         floor = self.scale.counts(p.label_floor_m) if p.label_pass else 0.0
-        return Terrain(tin, in_doubt, low, self.limits, floor, not p.label_pass, heights_only=True)
+        return Terrain(tin, in_doubt, low, self.limits, floor, not p.label_pass, per_slope=0.0)
 
 
 METHOD = Method(

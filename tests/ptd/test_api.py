@@ -54,6 +54,7 @@ class Second(First):
 
 @dataclass(frozen=True)
 class Parameters:
+    candidate_cell_m = 0.0
     passes = (First(), Second())
 
 

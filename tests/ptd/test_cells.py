@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ptd.cells import CellIndex, lowest_per_cell, slot_of
+from ptd.cells import CellIndex, lowest_per_cell, occupied, slot_of
 from ptd.frame import Cells, Scale
 
 FEET = Fraction(3048, 10**7)
@@ -133,3 +133,12 @@ def test_an_index_lists_each_point_under_its_cell(spread: int) -> None:
 
 def test_no_points_no_cells() -> None:
     assert lowest_per_cell(*columns([]), Cells.of(1.0, Scale())).size == 0
+
+
+@pytest.mark.parametrize("n_cells", [50, 10**9])
+def test_occupied_cells_in_a_raster_or_sorted(n_cells: int) -> None:
+    keys = np.array([7, 3, 49, 3, 7, 0], np.int64)
+    found, slot = occupied(keys, n_cells)
+    assert found.tolist() == [0, 3, 7, 49]
+    assert slot.tolist() == [2, 1, 3, 1, 2, 0]
+    assert occupied(keys[:0], n_cells)[0].size == 0

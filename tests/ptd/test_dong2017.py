@@ -13,7 +13,7 @@ from ptd.frame import Window
 from ptd.methods.dong2017 import Dong2017
 from ptd.passes import MethodRefusal, Points
 
-from .tiling import classify_tiled, part
+from .tiling import classify_tiled
 from .town import CAR, HOUSE, SCALE, SIGMA_M, TREE, Town, town
 
 DEFAULTS = Dong2017()
@@ -92,7 +92,7 @@ def test_the_order_of_the_points_changes_nothing(
     scene: Town, whole: tuple[np.ndarray, np.ndarray, dict[str, Any]]
 ) -> None:
     order = np.random.default_rng(0).permutation(len(scene.points))
-    labels, _, state = classify_tiled(part(scene.points, order), SCALE, DEFAULTS, None)
+    labels, _, state = classify_tiled(scene.points.take(order), SCALE, DEFAULTS, None)
     assert np.array_equal(labels, whole[0][order])
     assert state == whole[2]
 

@@ -22,7 +22,7 @@ def flat() -> Tin:
 
 
 def label(
-    tin: Tin, points: list[tuple[int, int, int]], doubt: bool = False, **options: bool
+    tin: Tin, points: list[tuple[int, int, int]], doubt: bool = False, **options: float
 ) -> tuple[list[int], list[bool]]:
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).reshape(-1, 3).T)
     in_doubt = np.full(tin.n_triangles, doubt, np.uint8)
@@ -109,5 +109,14 @@ def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
 def test_heights_only_neither_angle_nor_iteration_distance_counts(height: int, ground: bool) -> None:
     """On a slope of 3 in 4 a height of 300 is 240 from the facet; 400 would be within the angle far from corners."""
     slope = Tin.build([0, 40_000, 0, 40_000], [0, 0, 40_000, 40_000], [0, 30_000, 0, 30_000])
-    assert label(slope, [(20_000, 13_000, 15_000 + height)], heights_only=True)[0] == [2 if ground else 1]
+    assert label(slope, [(20_000, 13_000, 15_000 + height)], per_slope=0.0)[0] == [2 if ground else 1]
     assert label(slope, [(20_000, 13_000, 15_400)])[0] == [2]
+
+
+def test_what_is_allowed_in_height_grows_with_the_slope() -> None:
+    """On a slope of 3 in 4 the floor of 300 and 400 per slope make 600."""
+    slope = Tin.build([0, 40_000, 0, 40_000], [0, 0, 40_000, 40_000], [0, 30_000, 0, 30_000])
+    heights = [15_599, 15_601, 14_401, 14_399]
+    points = [(20_000, 13_000, z) for z in heights]
+    assert label(slope, points, per_slope=400.0)[0] == [2, 1, 2, 1]
+    assert label(slope, [(0, 0, 300), (0, 0, 301)], per_slope=400.0)[0] == [2, 1]  # a vertex has no slope

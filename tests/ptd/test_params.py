@@ -122,7 +122,7 @@ def test_each_parameter_says_what_it_is(method: str) -> None:
 def test_methods_by_name() -> None:
     assert make_params("classic") == Classic()
     assert make_params("classic", {"iteration_angle": "6"}).iteration_angle_deg == 6.0
-    with pytest.raises(ValueError, match="no method 'best'; there are classic"):
+    with pytest.raises(ValueError, match="no method 'best'; there are auto, classic"):
         make_params("best")
 
 

@@ -13,13 +13,6 @@ from ptd.frame import OPEN, Cells, Scale, Window
 from ptd.passes import Pass, Points, RunFacts
 
 
-def part(points: Points, index: Any) -> Points:
-    """The points of an index, in that order."""
-    columns = {name: getattr(points, name) for name in ("labels", "rgb", "returns")}
-    taken = {name: None if c is None else c[..., index] for name, c in columns.items()}
-    return Points(np.ascontiguousarray(points.xyz[:, index]), **taken)
-
-
 def inside(points: Points, window: Window) -> np.ndarray:
     x, y = points.xyz[0], points.xyz[1]
     return (x >= window.west) & (x < window.east) & (y >= window.south) & (y < window.north)
@@ -60,10 +53,10 @@ def classify_tiled(
             if params.candidate_cell_m and not step.every_point:
                 x, y, z = (np.ascontiguousarray(c) for c in points.xyz[:, seen])
                 seen = seen[lowest_per_cell(x, y, z, Cells.of(params.candidate_cell_m, scale))]
-            model = step.fit(part(given, seen), window, core, scale, state)
+            model = step.fit(given.take(seen), window, core, scale, state)
             partials.append(model.partial())
             if step.gives_labels:
-                found[own], doubtful[own] = model.label(part(given, own))
+                found[own], doubtful[own] = model.label(given.take(own))
                 doubtful[own] |= "labels" in step.columns and bool(marks[seen].any())
         if step.gives_labels:
             labels, marks = found, doubtful

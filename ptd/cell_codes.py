@@ -1,0 +1,80 @@
+"""Labels that passes leave for the next one: a code for each cell of a lattice, the same for all points in it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import CellIndex, Int32, Int64, lowest_per_cell, slot_of
+from ptd.frame import Cells, Window
+from ptd.kernel import kernel, wide
+from ptd.passes import Model, Points, UInt8
+
+Bool = npt.NDArray[np.bool_]
+
+
+@kernel
+def _slots(
+    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, slots: Int32, keys: Int64,
+    width: int, height: int,
+) -> Int32:  # fmt: skip
+    """Index of each point's cell, -1 where it holds none that is known."""
+    out = np.empty(x.size, np.int32)
+    for i in range(x.size):
+        column = ((wide(x[i]) + ox) * q) // p - col0
+        row = ((wide(y[i]) + oy) * q) // p - row0
+        out[i] = slot_of(slots, keys, width, height, column, row)
+    return out
+
+
+class CellCodes(Model):
+    """What a pass says of each cell.
+
+    Parameters
+    ----------
+    x, y : int32 [m]
+        A point of each cell, local counts, by rows of cells.
+    codes : uint8 [m]
+    doubtful : bool [m]
+        Points outside the window could change the code.
+    cells : Cells
+    certain : Window
+        All cells outside of it are doubtful.
+    missing : int
+        Code of cells without a point.
+    stats : dict
+    """
+
+    def __init__(
+        self, x: Int32, y: Int32, codes: UInt8, doubtful: Bool, cells: Cells, certain: Window, missing: int,
+        stats: dict[str, Any],
+    ) -> None:  # fmt: skip
+        self.stats = stats
+        self._certain = certain
+        self._codes, self._doubtful = np.append(codes, np.uint8(missing)), np.append(doubtful, False)
+        self._index = CellIndex(x, y, cells) if x.size else None
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Codes (uint8 [n]) and marks (bool [n]) of the cells of points."""
+        x, y = np.ascontiguousarray(points.xyz[0]), np.ascontiguousarray(points.xyz[1])
+        slots = np.full(x.size, -1, np.int32)
+        if self._index is not None:
+            i, c = self._index, self._index.cells
+            slots = _slots(
+                x, y, c.p, c.q, c.origin_x, c.origin_y, i.col0, i.row0, i.slots, i.keys, i.width, i.height
+            )
+        marked = self._doubtful[slots]
+        if self._certain.closed:
+            w = self._certain
+            marked |= (x < w.west) | (y < w.south) | (x >= w.east) | (y >= w.north)
+        return self._codes[slots], marked
+
+
+def lowest_points(points: Points, cells: Cells) -> tuple[Int32, Int32, Int32, UInt8]:
+    """x, y, z and label of the lowest point of each cell, by rows of cells; labels are 0 if there are none yet."""
+    x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
+    index = lowest_per_cell(x, y, z, cells)
+    labels = np.zeros(index.size, np.uint8) if points.labels is None else points.labels[index]
+    return x[index], y[index], z[index], labels

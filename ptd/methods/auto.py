@@ -1,0 +1,280 @@
+"""``auto``: morphological seeds, a few rounds of densification, removal of what still rises like an object.
+
+A method of our own, the default: one setting for all clouds, what has to differ is decided from the cloud. It works on
+the lowest point of each cell of 1 m. Figures, why there are passes and how far each sees: ``ptd/DESIGN.md``.
+
+survey
+    density, noise, returns: laser scanning or image matching (`ptd.methods.auto_settings`).
+seeds
+    low outliers out; what drops steeply in openings of growing radius (`ptd.objects`) is an object; all else is a seed.
+densify
+    the TIN of the seeds takes in objects' cells that fit (`ptd.densify`): edges and tops that the openings cut.
+refine
+    densified cells that rise from the ground found are taken out again (roofs that were climbed), then all that rises
+    from ground whose trend was taken off (low walls, cars, shrubs on slopes).
+label
+    each point against the TIN of the ground that is left, by its height.
+
+====================  ==========================  ========  ============================================================
+parameter             origin                      default   reason
+====================  ==========================  ========  ============================================================
+max_building_size     Chen 2023; Zhang 2003       36 m      wide enough for halls of towns; wider openings cut hill tops
+thin_cell             as `classic`                1 m       the terrain's detail; noise of dense clouds averages to its
+                                                            lower side
+low_radius, _depth,   as `classic`                5 m, 4 m, image matching: groups of 30 that are half as deep, as its
+low_group                                         5         blunders are
+seed_drop, _rise,     Pingel 2013 (slope, scale)  0.1 m,    noise; ground that rises by 0.06 beside flat ground is kept;
+_slope                                            0.06, 0.2 a fifth of the slope more on slopes
+slope_reach           ours                        7 m       boxes of 15 m see past a house's wall
+iteration_distance,   as `classic`                1.4 m,    the seeds are dense already: L1 keeps the angle small there
+_angle, terrain_                                  28, 88
+angle, edge_length_                               deg, 5 m
+reduce
+rounds                Chen 2023                   4         more change little and carry doubt farther
+veto_drop, _rise,     ours                        0.5 m,    wider than for seeds: else all that densification adds
+_slope                                            0.1, 0.3  would be taken back
+trend_reach           ours                        20 m      a mean over 41 m follows hills and not what stands on them
+residual_size         ours                        20 m      what is wider has been found before
+residual_drop, _rise, ours                        0.3 m,    less is within the last pass's height
+_slope                                            0.1, 0.2
+residual_lack,        ours                        2, 0.2,   where less than a fifth of the cells around are objects',
+_share, _around                                   10 m      bumps are terrain: the threshold grows by up to 2
+label_floor           as `classic`                0.3 m     or three times the noise where that is more
+label_slope           lessons of a prototype      1 m       a position is off by the spacing of the points on a slope
+====================  ==========================  ========  ============================================================
+
+The ring of virtual seeds has cells of 20 m (`ptd.seeds`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ptd import roughness
+from ptd.cell_codes import CellCodes, lowest_points
+from ptd.certify import Doubt
+from ptd.densify import REFUSED, VERTEX, WAITING, densify
+from ptd.frame import Cells, Scale, Window
+from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
+from ptd.methods.auto_settings import RING_M, AutoParameters, decided, settings
+from ptd.morphology import Bool
+from ptd.objects import Lowest, blocks
+from ptd.outliers import low_outliers
+from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
+from ptd.seeds import RING, box_with_ring, choose_seeds
+from ptd.tin.mesh import Tin
+
+OBJECT, OUTLIER, SEED, DENSIFIED = UNCLASSIFIED, LOW_NOISE, 3, 4
+"""Codes of cells between passes; `GROUND` is what `refine` leaves."""
+
+
+@dataclass(frozen=True)
+class Auto(AutoParameters):
+    """Parameters of `auto`; see the module's table."""
+
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        """Rasters with a fixed reach and TINs with doubt in turn: doubt does not add up."""
+        cell = self.thin_cell_m
+        return (
+            SurveyPass(self),
+            SeedPass(self, reach_m=(self.seed_reach + 1) * cell),
+            DensifyPass(self),
+            RefinePass(self, reach_m=(self.refine_reach + 1) * cell),
+            LabelPass(self),
+        )
+
+
+class Figures(Model):
+    """What the survey of a core found."""
+
+    def __init__(self, partial: dict[str, Any]) -> None:
+        self.stats, self._partial = {"points": partial["points"]}, partial
+
+    def label(self, points: Points) -> Any:
+        """Not called: the pass only measures."""
+        raise NotImplementedError
+
+    def partial(self) -> dict[str, Any]:
+        """Those of `ptd.roughness.measure`, ``told`` and ``several``: points of known returns, of several."""
+        return self._partial
+
+
+@dataclass(frozen=True)
+class SurveyPass(Pass):
+    """Density, noise and returns, and what follows from them."""
+
+    params: Auto
+    name: str = "survey"
+    columns: tuple[str, ...] = ("returns",)
+    every_point: bool = True
+    gives_labels: bool = False
+    reach_m: float | None = roughness.REACH_M
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Figures:
+        """Count."""
+        counts = {"told": 0, "several": 0}
+        if points.returns is not None:
+            x, y = points.xyz[:2]
+            own = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
+            of = points.returns[1, own]
+            counts = {"told": int((of > 0).sum()), "several": int((of > 1).sum())}
+        return Figures(roughness.measure(points.xyz, window, core, scale) | counts)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """``survey``: see `ptd.methods.auto_settings.decided`."""
+        parts = list(partials)
+        told, several = sum(p["told"] for p in parts), sum(p["several"] for p in parts)
+        survey, notes = decided(self.params, roughness.merge(parts), told, several, state["run"])
+        return {**state, "survey": survey, "notes": [*state.get("notes", []), *notes]}
+
+
+@dataclass(frozen=True)
+class SeedPass(Pass):
+    """Cells are low outliers, objects or seeds."""
+
+    params: Auto
+    name: str = "seeds"
+    reach_m: float | None = None
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+        """Open the minimum raster with growing disks."""
+        p = self.params
+        cells, s = Cells.of(p.thin_cell_m, scale), settings(p, state["survey"])
+        x, y, z, _ = lowest_points(points, cells)
+        outlier = low_outliers(x, y, z, scale, p.low_radius_m, s.low_depth_m, s.low_group)
+        codes = np.where(outlier, np.uint8(OUTLIER), np.uint8(SEED))
+        for index, inner in blocks(x, y, cells, p.shape.reach):
+            low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)
+            rises = low.steep_objects(~outlier[index], p.seed_drop, p.shape) & ~outlier[index]
+            codes[index[rises & inner]] = OBJECT
+        stats = {
+            "cells": int(x.size),
+            "low_outliers": int(outlier.sum()),
+            "seeds": int((codes == SEED).sum()),
+        }
+        certain = window.inside(cells, p.seed_reach)
+        return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
+
+
+@dataclass(frozen=True)
+class DensifyPass(Pass):
+    """The TIN of the seeds takes in cells of objects that fit."""
+
+    params: Auto
+    name: str = "densify"
+    columns: tuple[str, ...] = ("labels",)
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+        """Densify the window's TIN."""
+        p = self.params
+        cells = Cells.of(p.thin_cell_m, scale)
+        x, y, z, codes = lowest_points(points, cells)
+        known, seed = window.inside(cells), codes == SEED
+        doubtful, rounds = np.full(x.size, window.closed), 0
+        if seed.any():
+            tin, doubt = first_tin(x, y, z, seed, known, scale)
+            rest = np.where(codes == OUTLIER, np.uint8(REFUSED), np.uint8(WAITING))
+            todo = np.where(seed, np.uint8(VERTEX), rest)
+            doubtful, rounds = densify(tin, x, y, z, todo, p.limits(scale), p.rounds, doubt)
+            codes = np.where((todo == VERTEX) & ~seed, np.uint8(DENSIFIED), codes)
+        stats = {"cells": int(x.size), "rounds": rounds, "densified": int((codes == DENSIFIED).sum())}
+        return CellCodes(x, y, codes, doubtful, cells, known, OBJECT, stats)
+
+
+@dataclass(frozen=True)
+class RefinePass(Pass):
+    """Ground cells that rise from the ground found are no ground."""
+
+    params: Auto
+    name: str = "refine"
+    columns: tuple[str, ...] = ("labels",)
+    reach_m: float | None = None
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+        """Veto what densification climbed, then look at residuals."""
+        p = self.params
+        cells = Cells.of(p.thin_cell_m, scale)
+        x, y, z, before = lowest_points(points, cells)
+        codes = np.where(before == OUTLIER, np.uint8(OUTLIER), np.uint8(OBJECT))
+        for index, inner in blocks(x, y, cells, p.refine_reach):
+            low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)
+            ground = refined(low, before[index], p)
+            codes[index[ground & inner]] = GROUND
+        stats = {"cells": int(x.size), "ground": int((codes == GROUND).sum())}
+        certain = window.inside(cells, p.refine_reach)
+        return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
+
+
+def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
+    """Which cells stay ground: bool [n]."""
+    ground = (codes == SEED) | (codes == DENSIFIED)
+    if (codes == DENSIFIED).any():
+        ground &= ~((codes == DENSIFIED) & low.steep_objects(ground, p.veto_drop, p.shape))
+    stays: Bool = ground & ~low.residual_objects(ground, codes != OUTLIER, p.residuals)
+    return stays
+
+
+@dataclass(frozen=True)
+class LabelPass(Pass):
+    """Every point against the TIN of the ground."""
+
+    params: Auto
+    name: str = "label"
+    columns: tuple[str, ...] = ("labels",)
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Labels:
+        """Build the TIN."""
+        p = self.params
+        cells = Cells.of(p.thin_cell_m, scale)
+        x, y, z, codes = lowest_points(points, cells)
+        low, ground = codes == OUTLIER, codes == GROUND
+        noise = LowNoise(x[low], y[low], z[low], cells)
+        if not ground.any():
+            return Labels(None, noise, window.closed, {"vertices": 0})
+        tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale, spare=0)
+        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        floor, per_slope = settings(p, state["survey"]).label_floor_m, p.label_slope_m
+        terrain = Terrain(
+            tin, in_doubt, noise, p.limits(scale), scale.counts(floor), per_slope=scale.counts(per_slope)
+        )
+        return Labels(terrain, noise, window.closed, {"vertices": tin.n_vertices})
+
+
+class Labels(Model):
+    """The finished TIN; without one, nothing but low noise is known."""
+
+    def __init__(self, terrain: Terrain | None, noise: LowNoise, closed: bool, stats: dict[str, Any]) -> None:
+        self.terrain, self._noise, self._closed, self.stats = terrain, noise, closed, stats
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """ASPRS classes and marks of points of the window."""
+        if self.terrain is not None:
+            return self.terrain.label(points)
+        low = self._noise.holds(*(np.ascontiguousarray(c) for c in points.xyz))
+        labels = np.where(low, np.uint8(LOW_NOISE), np.uint8(UNCLASSIFIED))
+        return labels, np.full(len(points), self._closed)
+
+
+def first_tin(
+    x: Int32, y: Int32, z: Int32, chosen: Bool, known: Window, scale: Scale, spare: int | None = None
+) -> tuple[Tin, Doubt]:
+    """TIN of the chosen points (at least one) and the ring of virtual ones, with room for all or ``spare`` more.
+
+    What is chosen within the known window is certain.
+    """
+    cells = Cells.of(RING_M, scale)
+    doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    ring = choose_seeds(x, y, z, chosen, cells, doubt).virtual
+    corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]
+    room = x.size + len(ring) if spare is None else corners[0].size + spare
+    return Tin.build(*corners, max_vertices=room), doubt
+
+
+METHOD = Method(
+    "auto", "our own, for all clouds: morphological seeds, few rounds, what rises is taken out again", Auto
+)

@@ -1,0 +1,234 @@
+"""Parameters of `auto`, and what it decides from the survey of the run.
+
+All that differs from cloud to cloud is in `settings`; what was decided is told in notes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ptd.criteria import Limits
+from ptd.frame import Scale
+from ptd.methods.progressive import Progressive
+from ptd.objects import Drop, Residuals, Shape
+from ptd.outliers import search_margin
+from ptd.params import check, like, parameter
+from ptd.roughness import Roughness
+
+RING_M = 20.0
+"""Side of the cells of virtual seeds around the ground."""
+ROUND_HALO_M = 8.0
+"""How far doubt advances in a round, seldom more."""
+LIDAR, DIM = "lidar", "dim"
+SEVERAL_SHARE = 0.001
+"""So many points that are one of several returns prove a laser."""
+DIM_GROUP, DIM_DEPTH = 6, 0.5
+"""Blunders of image matching come in larger groups than a laser's low points, and nearer to the ground."""
+FLOOR_SIGMAS = 3.0
+"""Noise that the last pass allows."""
+
+
+@dataclass(frozen=True)
+class AutoParameters:
+    """Rules and sizes; table in `ptd.methods.auto`."""
+
+    max_building_size_m: float = parameter(
+        36.0, "objects up to so wide are told from the terrain: twice the largest disk", unit="m", minimum=2.0,
+        maximum=1000.0,
+    )  # fmt: skip
+    thin_cell_m: float = parameter(
+        1.0, "the lowest point of a cell of this side decides what the cell is", unit="m", minimum=0.1, maximum=100.0,
+    )  # fmt: skip
+    low_radius_m: float = like(Progressive, "low_radius_m")
+    low_depth_m: float = like(Progressive, "low_depth_m")
+    low_group: int = like(Progressive, "low_group")
+    seed_drop_m: float = parameter(
+        0.1, "seeds: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    seed_rise: float = parameter(
+        0.06, "seeds: steepest drop per radius that flat ground has", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    seed_slope: float = parameter(
+        0.2, "seeds: more of it per slope of the ground", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    slope_reach_m: float = parameter(
+        7.0, "slopes are between means of boxes that reach so far", unit="m", minimum=1.0, maximum=100.0,
+    )  # fmt: skip
+    rounds: int = parameter(4, "rounds of densification", minimum=1, maximum=1000)
+    iteration_distance_m: float = like(Progressive, "iteration_distance_m")
+    iteration_angle_deg: float = like(Progressive, "iteration_angle_deg", 28.0)
+    terrain_angle_deg: float = like(Progressive, "terrain_angle_deg")
+    edge_length_reduce_m: float = like(Progressive, "edge_length_reduce_m")
+    veto_drop_m: float = parameter(
+        0.5, "veto of densified cells: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    veto_rise: float = parameter(
+        0.1, "veto of densified cells: steepest drop per radius that flat ground has", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    veto_slope: float = parameter(
+        0.3, "veto of densified cells: more of it per slope of the ground", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    trend_reach_m: float = parameter(
+        20.0, "residuals are from means of ground that reach so far", unit="m", minimum=1.0, maximum=100.0,
+    )  # fmt: skip
+    residual_size_m: float = parameter(
+        20.0, "residuals: the widest object", unit="m", minimum=2.0, maximum=1000.0,
+    )  # fmt: skip
+    residual_drop_m: float = parameter(
+        0.3, "residuals: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    residual_rise: float = parameter(
+        0.1, "residuals: steepest drop per radius that flat ground has", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    residual_slope: float = parameter(
+        0.2, "residuals: more of it per slope of the ground", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    residual_lack: float = parameter(
+        2.0, "residuals: more of the rise where no objects are around", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    residual_share: float = parameter(
+        0.2, "residuals: share of cells of objects around from which on there is no more", minimum=0.01, maximum=1.0,
+    )  # fmt: skip
+    residual_around_m: float = parameter(
+        10.0, "residuals: how far around is", unit="m", minimum=1.0, maximum=100.0,
+    )  # fmt: skip
+    label_floor_m: float = like(Progressive, "label_floor_m")
+    label_slope_m: float = parameter(
+        1.0, "last pass: so much more per slope of the facet", unit="m", minimum=0.0, maximum=10.0,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def limits(self, scale: Scale) -> Limits:
+        """The facet test's thresholds."""
+        return Limits.of(
+            scale, distance_m=self.iteration_distance_m, angle_deg=self.iteration_angle_deg,
+            terrain_deg=self.terrain_angle_deg, reduce_m=self.edge_length_reduce_m, stop_m=0.0,
+        )  # fmt: skip
+
+    def _cells(self, metres: float) -> int:
+        return max(round(metres / self.thin_cell_m), 1)
+
+    @property
+    def seed_drop(self) -> Drop:
+        """When a cell is no seed."""
+        return Drop(self.seed_drop_m, self.seed_rise, self.seed_slope)
+
+    @property
+    def veto_drop(self) -> Drop:
+        """When a densified cell is taken out again."""
+        return Drop(self.veto_drop_m, self.veto_rise, self.veto_slope)
+
+    @property
+    def shape(self) -> Shape:
+        """Sizes that seeds and veto share."""
+        return Shape(self._cells(self.max_building_size_m / 2), self._cells(self.slope_reach_m))
+
+    @property
+    def residuals(self) -> Residuals:
+        """When a cell rises from ground without its trend."""
+        return Residuals(
+            drop=Drop(self.residual_drop_m, self.residual_rise, self.residual_slope),
+            trend=self._cells(self.trend_reach_m), radius=self._cells(self.residual_size_m / 2),
+            slope=self._cells(self.slope_reach_m), around=self._cells(self.residual_around_m),
+            lack=self.residual_lack, enough=self.residual_share,
+        )  # fmt: skip
+
+    @property
+    def seed_reach(self) -> int:
+        """Cells beyond which nothing has a part in what a cell is after the pass `seeds`."""
+        return self.shape.reach + search_margin(self.low_radius_m, 1, self.thin_cell_m)
+
+    @property
+    def refine_reach(self) -> int:
+        """Cells beyond which nothing has a part in what a cell is after the pass `refine`."""
+        return self.shape.reach + self.residuals.reach
+
+    @property
+    def halo_m(self) -> float:
+        """Two cells of the ring for the first TIN's circles, and what the rounds need."""
+        return 2.0 * RING_M + ROUND_HALO_M * min(self.rounds, 30)
+
+    @property
+    def align_m(self) -> float:
+        """Windows of TINs hold whole cells of the ring."""
+        return RING_M
+
+    @property
+    def margin_m(self) -> float:
+        """And whole thinning cells, where those do not divide the ring's."""
+        return self.thin_cell_m
+
+    @property
+    def candidate_cell_m(self) -> float:
+        """Cell of which the lowest point is the candidate."""
+        return self.thin_cell_m
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the parameters come to in a run."""
+
+    low_depth_m: float
+    low_group: int
+    label_floor_m: float
+
+
+def settings(params: AutoParameters, survey: Mapping[str, Any]) -> Settings:
+    """Thresholds for a run, from what `decided` says of it."""
+    dim, sigma = survey["kind"] == DIM, survey["sigma_m"]
+    return Settings(
+        low_depth_m=params.low_depth_m * (DIM_DEPTH if dim else 1.0),
+        low_group=params.low_group * (DIM_GROUP if dim else 1),
+        label_floor_m=max(params.label_floor_m, FLOOR_SIGMAS * sigma if sigma is not None else 0.0),
+    )
+
+
+def decided(
+    params: AutoParameters, found: Roughness, told: int, several: int, run: Mapping[str, Any]
+) -> tuple[dict[str, Any], list[str]]:
+    """What the run is, and lines that say so.
+
+    Parameters
+    ----------
+    params : AutoParameters
+    found : Roughness
+        Density and noise.
+    told, several : int
+        Points of which the number of returns is known; those that are one of several.
+    run : mapping
+        `ptd.passes.RunFacts`.
+
+    Returns
+    -------
+    survey : dict
+        ``kind`` (`LIDAR`, `DIM`: image matching, which is coloured and has single returns alone), ``density_m2``,
+        ``sigma_m`` (None: not known), ``several`` (share of points).
+    notes : list of str
+    """
+    share = several / told if told else 0.0
+    kind = DIM if run["rgb"] and told and share < SEVERAL_SHARE else LIDAR
+    sigma = found.sigma_m if run["sigma_m"] is None else run["sigma_m"]
+    survey = {"kind": kind, "density_m2": found.density_m2, "sigma_m": sigma, "several": share}
+    if kind == DIM:
+        why = "the points have colours and none is one of several returns"
+    else:
+        why = (
+            f"{100 * share:.0f} % of the points are one of several returns"
+            if several
+            else "nothing speaks against"
+        )
+    noise = "noise not measurable" if sigma is None else f"noise {sigma:.3g} m"
+    notes = [
+        f"decided: {'image matching' if kind == DIM else 'laser scanning'} ({why}); "
+        f"{found.density_m2:.3g} points/m2, {noise}"
+    ]
+    chosen = settings(params, survey)
+    if chosen.label_floor_m > params.label_floor_m:
+        notes.append(
+            f"decided: ground is up to {chosen.label_floor_m:.3g} m from the surface, {FLOOR_SIGMAS:g} times the noise"
+        )
+    return survey, notes
