@@ -9,14 +9,14 @@ from typing import Any, TypeVar
 
 import click
 
-from tiler.config import RunConfig, load_config, parse_pairs
+from tiler.config import RunConfig, load_config, merged_pairs
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 SETTINGS = {spec.name: spec for spec in dataclasses.fields(RunConfig)}
 
 _METAVARS = {"length": "LENGTH", "bytes": "SIZE", "classes": "N,N,...", "names": "NAME,...", "pairs": "NAME=VALUE",
-             "bounds": "X0 Y0 X1 Y1", "int": "N"}  # fmt: skip
+             "bounds": "X0 Y0 X1 Y1", "int": "N", "preset": "NAME", "nodata": "VALUE"}  # fmt: skip
 
 
 def config_options(only: Collection[str] | None = None) -> Callable[[Command], Command]:
@@ -31,7 +31,8 @@ def config_options(only: Collection[str] | None = None) -> Callable[[Command], C
                 command = _option(spec)(command)
         file_option = click.option(
             "--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
-            help="settings to start from (see `tiler config --template`); options win [default: none]",
+            help="settings in a file (see `tiler config --template`); they win over --preset, options over them "
+                 "[default: none]",
         )  # fmt: skip
         return file_option(command)
 
@@ -39,7 +40,7 @@ def config_options(only: Collection[str] | None = None) -> Callable[[Command], C
 
 
 def read_config(settings: dict[str, Any]) -> RunConfig:
-    """The effective settings: defaults, then the TOML file, then the options that were given.
+    """The effective settings: defaults, then the preset, then the TOML file, then the options that were given.
 
     Parameters
     ----------
@@ -56,8 +57,7 @@ def read_config(settings: dict[str, Any]) -> RunConfig:
     given = {k: v for k, v in settings.items() if k in SETTINGS and v is not None and v != ()}
     if "parameters" in given:
         # One parameter given as an option leaves the others of the file as they are.
-        of_file = parse_pairs(values.get("parameters", {}))
-        given["parameters"] = dict(of_file) | dict(parse_pairs(given["parameters"]))
+        given["parameters"] = merged_pairs(values.get("parameters", {}), given["parameters"])
     return RunConfig.from_mapping(values | given)
 
 

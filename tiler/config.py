@@ -6,15 +6,19 @@ The command line, ``tiler config --template`` and the documentation are generate
 from __future__ import annotations
 
 import dataclasses
+import math
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from tiler.core.products import PRODUCTS
+from ptd.params import UNIT_SUFFIXES
+from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.units import parse_length
 from tiler.errors import ConfigError
+from tiler.presets import load_preset, preset_names
 
 
 def setting(
@@ -28,6 +32,10 @@ def setting(
 class RunConfig:
     """Everything that a run can be told; ``None`` means "decide from the data, and say so"."""
 
+    preset: str | None = setting(
+        None, "settings to start from: " + ", ".join(preset_names()) + "; those of --config and then those of the "
+        "command line win; `tiler config --preset NAME` shows them", kind="preset",
+    )  # fmt: skip
     method: str = setting("classic", "ground filter (see `tiler methods`); `keep` trusts the input's classes")
     parameters: tuple[tuple[str, str], ...] = setting(
         (), "parameters of the method, name=value", kind="pairs"
@@ -98,6 +106,8 @@ class RunConfig:
         None,
         "OUT folder of an earlier run of the same method, to take its run-wide statistics; default: this run's",
     )
+    nodata: float = setting(NODATA, "value of pixels without a height in rasters of heights and slopes (-999999 for "
+                            "USGS)", unit="as the raster", kind="nodata")  # fmt: skip
     compress: str = setting("deflate", "compression of rasters", kind="choice", choices=("deflate", "zstd"))
     on_error: str = setting("skip", "what a broken file or tile does to the run", kind="choice",
                             choices=("skip", "stop"))  # fmt: skip
@@ -119,16 +129,45 @@ class RunConfig:
 
     @classmethod
     def from_mapping(cls, data: Mapping[str, Any]) -> RunConfig:
-        """Settings from plain values (TOML, JSON, options); unknown names and bad values raise ConfigError."""
+        """Settings from plain values (TOML, JSON, options); unknown names and bad values raise ConfigError.
+
+        Where ``preset`` names one, its settings stand for those that are not given.
+        """
         known = {f.name: f for f in fields(cls)}
         for name in data:
             if name not in known:
                 raise ConfigError(f"unknown setting {name!r}; `tiler config --template` lists them")
-        return cls(**{name: _parse(known[name], value) for name, value in data.items()})
+        given = _over_preset(data)
+        return cls(**{name: _parse(known[name], value) for name, value in given.items()})
 
     def updated(self, **changes: Any) -> RunConfig:
         """A copy with these fields (already parsed) replaced."""
         return dataclasses.replace(self, **changes)
+
+
+def _over_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The settings given over those of their preset, whose parameters are left out if they are another method's."""
+    if data.get("preset") is None:
+        return data
+    base = load_preset(data["preset"])
+    if data.get("method", base.get("method")) != base.get("method"):
+        base.pop("parameters", None)
+    found = base | dict(data)
+    found["parameters"] = merged_pairs(base.get("parameters", {}), data.get("parameters", {}))
+    return found
+
+
+def merged_pairs(base: Any, given: Any) -> dict[str, str]:
+    """``name=value`` settings of a method, the given ones over the others, with or without the unit of a name."""
+    over = dict(parse_pairs(given))
+    bare = {_without_unit(name) for name in over}
+    return {k: v for k, v in parse_pairs(base) if _without_unit(k) not in bare} | over
+
+
+def _without_unit(name: str) -> str:
+    for suffix in UNIT_SUFFIXES:
+        name = name.removesuffix(suffix)
+    return name
 
 
 def load_config(path: Path) -> dict[str, Any]:
@@ -200,6 +239,26 @@ def parse_surface(value: Any) -> str:
     raise ConfigError(f"surface {value!r}: write all, median, or a percentile of the heights like p10")
 
 
+LOWEST_LAND, HIGHEST_LAND = -2000.0, 100_000.0
+"""Between them a value for nodata could be a height, in metres or feet."""
+
+
+def parse_nodata(value: Any) -> float:
+    """A value that float32 holds exactly and that no height takes; raises ConfigError."""
+    try:
+        number = float(value)
+        exact = struct.unpack("<f", struct.pack("<f", number))[0] == number
+    except (TypeError, ValueError):
+        raise ConfigError(f"nodata {value!r}: must be a number, like -9999 or -999999") from None
+    except OverflowError:
+        exact = False
+    if not exact or not math.isfinite(number):
+        raise ConfigError(f"nodata {value}: a raster of float32 cannot hold it exactly; use -9999 or -999999")
+    if LOWEST_LAND < number < HIGHEST_LAND:
+        raise ConfigError(f"nodata {value}: could be a height; use -9999 or -999999")
+    return number
+
+
 def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
     """``name=value`` settings of a method, from strings or a mapping; raises ConfigError."""
     if isinstance(value, Mapping):
@@ -243,6 +302,8 @@ def _parse(spec: dataclasses.Field[Any], value: Any) -> Any:
         return parse_bytes(value)
     if kind == "classes":
         return parse_classes(value)
+    if kind == "nodata":
+        return parse_nodata(value)
     if kind == "surface":
         return parse_surface(value)
     if kind == "names":
@@ -259,7 +320,7 @@ def _parse(spec: dataclasses.Field[Any], value: Any) -> Any:
         raise ConfigError(f"{spec.name} {value!r}: must be true or false")
     if kind == "choice" and value not in spec.metadata["choices"]:
         raise ConfigError(f"{spec.name} {value!r}: choose one of {', '.join(spec.metadata['choices'])}")
-    if kind in ("text", "choice") and not isinstance(value, str):
+    if kind in ("text", "choice", "preset") and not isinstance(value, str):
         raise ConfigError(f"{spec.name} {value!r}: must be text")
     return value
 

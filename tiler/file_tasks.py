@@ -11,6 +11,7 @@ from typing import Any
 from tiler import __version__
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
+from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import RasterSpec
 from tiler.export import write_cog, write_mosaic
 from tiler.plan import Plan
@@ -24,6 +25,7 @@ def cog_tasks(g: Gridding, inputs: str, out: Path) -> Iterator[Task]:
         raster = final(name, g.plan.config)
         common: dict[str, Any] = {
             "raster": raster, "product": name, "compress": g.plan.config.compress, "tags": _tags(g.plan, inputs),
+            **_nodata(g.plan, name),
         }  # fmt: skip
         blocks = checksums(g.made[raster])
         if g.plan.config.sheets is None:
@@ -47,7 +49,7 @@ def mosaic_tasks(g: Gridding, inputs: str, out: Path) -> Iterator[Task]:
         return
     for name in exported(g.plan.config):
         arguments = {
-            "product": name, "out": str(out), "tags": _tags(g.plan, inputs),
+            "product": name, "out": str(out), "tags": _tags(g.plan, inputs), **_nodata(g.plan, name),
             "sheets": [[f"{name}/{name}_{place}.tif", spec.to_json()] for place, spec in sheets(g)],
         }  # fmt: skip
         yield Task("mosaic", f"{name}.vrt", digest_of(arguments), write_mosaic, arguments)
@@ -72,6 +74,11 @@ def sheets(g: Gridding) -> list[tuple[str, RasterSpec]]:
 def _place(counts: Fraction) -> str:
     """A coordinate in units of the CRS for a file's name: ``2600000``, ``0.5``."""
     return f"{float(counts / COUNTS_PER_UNIT):.3f}".rstrip("0").rstrip(".")
+
+
+def _nodata(plan: Plan, name: str) -> dict[str, float]:
+    """What the files of a product say where it has no value, if that is the user's to say: not of codes and greys."""
+    return {"nodata": plan.config.nodata} if PRODUCTS[name].nodata == NODATA else {}
 
 
 def _tags(plan: Plan, inputs: str) -> dict[str, str]:

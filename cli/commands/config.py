@@ -11,6 +11,7 @@ from cli.options import SETTINGS, config_options, describe_setting, read_config
 from cli.session import TilerCommand
 from tiler.config import RunConfig
 from tiler.errors import ConfigError
+from tiler.presets import preset_text
 
 HEAD = (
     "# Settings of tiler, for --config; options of the command line win. What is commented out has no value."
@@ -25,10 +26,11 @@ def command(template: bool, **settings: Any) -> None:
     """The effective settings, or a commented file to start from.
 
     Prints TOML: what a command with the same options (and --config FILE.toml) would work with, with every
-    parameter of the method; with --template all settings and what they mean.
+    parameter of the method; with --template all settings and what they mean. With --preset NAME the
+    preset's file comes first. Order: options win over --config, --config over --preset, --preset over defaults.
     """
     config = read_config(settings)
-    lines = [HEAD, ""]
+    lines = [HEAD, *_preset_lines(config.preset), ""]
     for name in (n for n in SETTINGS if n != LAST):
         if template:
             lines.append(f"# {describe_setting(SETTINGS[name])}")
@@ -37,6 +39,14 @@ def command(template: bool, **settings: Any) -> None:
             lines.append("")
     lines.extend(_parameter_lines(config, template))
     click.echo("\n".join(lines))
+
+
+def _preset_lines(name: str | None) -> list[str]:
+    """The file of the preset, as it is, behind number signs."""
+    if name is None:
+        return []
+    head = f"# Below, what the preset {name} sets is in effect unless it was overridden. The preset itself:"
+    return ["#", head, *(f"#   {line}".rstrip() for line in preset_text(name).splitlines())]
 
 
 def setting_line(name: str, config: RunConfig) -> str:

@@ -13,7 +13,7 @@ from rio_cogeo import cog_validate
 from tests.invariants import clouds
 from tests.invariants.clouds import Cloud
 from tests.invariants.runs import computed, do
-from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, PRODUCTS
+from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, NODATA, PRODUCTS
 from tiler.errors import ConfigError
 
 ALL = ",".join(PRODUCTS)
@@ -157,3 +157,22 @@ def test_sheets_of_parts_of_pixels_are_refused(quarter_files: list[Path], tmp_pa
         ConfigError, match=r"--sheets 10 m: no whole number of pixels of 3 m; use --sheets 9 or"
     ):
         do(quarter_files, tmp_path, resolution="3", sheets="10")
+
+
+def test_the_nodata_value_is_that_of_files_and_sheets(quarter_files: list[Path], tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    options = {"resolution": "1", "products": "dtm,hillshade", "max_edge": "3"}
+    do(quarter_files, whole, **options)
+    usual = values(whole, "dtm")
+    again = do(quarter_files, whole, nodata=-999999, **options)
+    assert {k for k, n in computed(again).items() if n} == {"export"}
+    assert computed(again)["export"] == 1  # the hillshade is of greys
+    do(quarter_files, cut, nodata=-999999, sheets="90", **options)
+    with rasterio.open(whole / "dtm.tif") as raster, rasterio.open(cut / "dtm.vrt") as mosaic:
+        assert raster.nodata == mosaic.nodata == -999999
+        assert np.isnan(usual).any()
+        assert NODATA not in raster.read(1)
+        assert NODATA not in mosaic.read(1)
+    assert np.array_equal(values(whole, "dtm"), usual, equal_nan=True)
+    with rasterio.open(cut / "hillshade.vrt") as shade:
+        assert shade.nodata == 0

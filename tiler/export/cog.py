@@ -11,7 +11,7 @@ import hashlib
 import math
 import os
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +80,8 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         type and looks (default: dtm). ``spec``: `RasterSpec` as JSON. ``out``: folder that exists. ``compress``:
         ``deflate`` or ``zstd``. ``tags``: mapping of str to str, the provenance (TILER_VERSION, TILER_METHOD,
         TILER_PARAMETERS, TILER_INPUTS). For a sheet ``whole``: `RasterSpec` of the raster in the store as JSON,
-        ``spec`` being the sheet's; ``fill``: value beyond it.
+        ``spec`` being the sheet's; ``fill``: value beyond it. ``nodata``: of the file (default: that of
+        the store).
 
     Returns
     -------
@@ -119,18 +120,22 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
 
 
 def _product(args: dict[str, Any]) -> Product:
-    return PRODUCTS[args.get("product", "dtm")]
+    """The product, with the nodata value that its file is to have."""
+    product = PRODUCTS[args.get("product", "dtm")]
+    return replace(product, nodata=args["nodata"]) if args.get("nodata") is not None else product
 
 
 def _write_plain(store: TileStore, spec: RasterSpec, args: dict[str, Any], path: Path) -> Statistics:
     """Copy the raster block by block, row by row from the north-west."""
-    statistics, product = Statistics(), _product(args)
-    look, nodata = raster_look(store.meta.frame, args), product.nodata
+    statistics, nodata = Statistics(), PRODUCTS[args.get("product", "dtm")].nodata
+    look = raster_look(store.meta.frame, args)
     with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
         for block in spec.blocks(TILE):
             values = _read(store, spec, args, block)
             statistics = statistics.merged(values, nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
+                if look.nodata != nodata:
+                    values = np.where(values == np.float32(nodata), np.float32(look.nodata), values)
                 raster.write(values, block.row, block.col)
         raster.tag_band({**look.meanings, **statistics.tags(spec.height * spec.width)})
     return statistics

@@ -79,7 +79,7 @@ def _describe_band(band: ElementTree.Element, look: RasterLook) -> None:
     if look.unit:
         ElementTree.SubElement(band, "UnitType").text = look.unit
     if look.nodata is not None:
-        ElementTree.SubElement(band, "NoDataValue").text = f"{look.nodata:g}"
+        ElementTree.SubElement(band, "NoDataValue").text = f"{look.nodata:.17g}"
     ElementTree.SubElement(band, "ColorInterp").text = "Palette" if look.colours else "Gray"
     if look.colours:
         table = ElementTree.SubElement(band, "ColorTable")

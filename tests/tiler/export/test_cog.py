@@ -192,3 +192,31 @@ def test_statistics_merge():
     assert merged.mean == pytest.approx(heights.mean(dtype=np.float64), rel=1e-13)
     assert merged.squares / 200 == pytest.approx(heights.astype(np.float64).var(), rel=1e-12)
     assert Statistics().merged(np.full(3, NODATA, np.float32)).tags(3) == {"STATISTICS_VALID_PERCENT": "0"}
+
+
+@pytest.mark.parametrize("product", ["dtm", "slope"])
+def test_the_file_has_the_nodata_value_that_was_asked_for(product, tmp_path, store):
+    arguments = {
+        "name": "dtm",
+        "spec": SPEC.to_json(),
+        "out": str(tmp_path),
+        "compress": "deflate",
+        "tags": TAGS,
+    }
+    usual = write_cog(store.url, arguments)
+    with rasterio.open(tmp_path / "dtm.tif") as raster:
+        expected = raster.read(1, masked=True)
+        coarse = raster.read(1, masked=True, out_shape=(SPEC.height // 2, SPEC.width // 2))
+    other = write_cog(store.url, {**arguments, "product": product, "nodata": -999999.0})
+    with rasterio.open(tmp_path / "dtm.tif") as raster:
+        assert raster.nodata == -999999.0
+        found = raster.read(1, masked=True)
+        overview = raster.read(1, masked=True, out_shape=(SPEC.height // 2, SPEC.width // 2))
+        assert NODATA not in raster.read(1)
+    np.testing.assert_array_equal(found.mask, expected.mask)
+    np.testing.assert_array_equal(found.compressed(), expected.compressed())
+    np.testing.assert_array_equal(overview.compressed(), coarse.compressed())
+    assert {k: usual[k] for k in ("valid", "min", "max", "mean")} == {
+        k: other[k] for k in ("valid", "min", "max", "mean")
+    }
+    assert cog_validate(tmp_path / "dtm.tif", strict=True) == (True, [], [])

@@ -1,0 +1,29 @@
+"""Presets: settings for a kind of data or a specification, one TOML file each, written to be read."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from tiler.errors import ConfigError
+
+
+@cache
+def preset_names() -> tuple[str, ...]:
+    """The names of all presets, sorted."""
+    found = (item.name for item in files(__name__).iterdir())
+    return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
+
+
+def preset_text(name: str) -> str:
+    """The file of a preset; its first line says what it is for. Raises ConfigError."""
+    if name not in preset_names():
+        raise ConfigError(f"preset {name!r}: choose one of {', '.join(preset_names())}")
+    return files(__name__).joinpath(f"{name}.toml").read_text("utf-8")
+
+
+def load_preset(name: str) -> dict[str, Any]:
+    """The settings of a preset as plain values. Raises ConfigError."""
+    return tomllib.loads(preset_text(name))
