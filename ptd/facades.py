@@ -25,6 +25,9 @@ BLOCK = 1
 MIN_BLOCK_POINTS = 6
 """Fewer points around a seed say nothing about how flat its place is."""
 
+CHANCE = 4.0
+"""Standard deviations (Poisson) by which the points of a facade's cell exceed those of flat ground."""
+
 NOISE_QUANTILE = 1.65
 """Of a difference of two heights in equation 1, sqrt(2) sigma each time."""
 
@@ -74,9 +77,12 @@ def facade_threshold(density_m2: float, height_m: float, cell_m: float, glass_fa
     """Points of a cell that a facade crosses, ``(DEN h g + DEN g^2) c`` (004, equation 3).
 
     The equation is printed without DEN in its second term; both are areas (of the facade, of the ground) times points
-    per area. c: part of a facade is glass, which is not matched (section 3.3.2).
+    per area. c: part of a facade is glass, which is not matched (section 3.3.2). Ours: not less than what chance puts
+    into a cell of flat ground, `CHANCE` standard deviations above its mean; else a sparse cloud is all facades.
     """
-    return glass_factor * density_m2 * (height_m * cell_m + cell_m * cell_m)
+    flat = density_m2 * cell_m * cell_m
+    facade = glass_factor * (density_m2 * height_m * cell_m + flat)
+    return max(facade, flat + CHANCE * math.sqrt(flat))
 
 
 @kernel

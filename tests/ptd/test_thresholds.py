@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.thresholds import outer_contour, second_difference_jump
+from ptd.thresholds import second_difference_jump
 
 JUMPS = [
     # Accumulated 100 180 220 230 239 248 257; its first difference is the histogram, its second -20 -40 -30 -1 0 0:
@@ -35,16 +35,3 @@ def test_the_jump_of_normal_noise_on_a_bed_of_facades_is_at_three_sigma() -> Non
     found = second_difference_jump(counts.tolist())
     assert found is not None
     assert 0.3 <= found * 0.05 <= 0.45
-
-
-def test_the_contour_of_a_share_by_hand() -> None:
-    """Of 100 counts the fullest four bins hold 90; the largest row and column among them are 2 and 1."""
-    counts = np.array([[40, 20, 0], [20, 3, 0], [10, 0, 0], [0, 0, 7]])
-    assert outer_contour(counts, 0.9) == (3, 2)
-    assert outer_contour(counts, 0.6) == (2, 2)  # 40 + 20 + 20: bins as full as the emptiest belong to it
-    assert outer_contour(counts, 0.4) == (1, 1)
-    assert outer_contour(counts, 1.0) == (4, 3)
-
-
-def test_no_contour_without_counts() -> None:
-    assert outer_contour(np.zeros((4, 5), np.int64), 0.99) is None
