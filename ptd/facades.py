@@ -25,7 +25,7 @@ BLOCK = 1
 MIN_BLOCK_POINTS = 6
 """Fewer points around a seed say nothing about how flat its place is."""
 
-CHANCE = 4.0
+CHANCE = 5.0
 """Standard deviations (Poisson) by which the points of a facade's cell exceed those of flat ground."""
 
 NOISE_QUANTILE = 1.65

@@ -36,7 +36,7 @@ class Stage(NamedTuple):
     tins : int
         How many, one after the other.
     rim : bool
-        With virtual points around the ground, so that it grows outward too.
+        With virtual points around the ground, so that it grows outward too. Without, cells hold one ground point.
     """
 
     cell_m: float
@@ -51,11 +51,12 @@ class Stage(NamedTuple):
 
     @property
     def reach_m(self) -> float:
-        """Metres around a window's core with which its ground seldom is in doubt.
+        """Metres around a window's core with which its ground seldom is in doubt; for one TIN without a rim, never.
 
-        A facet's circle and the cut cell or the rim; for each further TIN two cells and a half, as measured.
+        A facet's circle; cut cells and the rim's; for each further TIN three cells and a half, as measured.
         """
-        return 2 * self.widest_m + (1 + REACH * self.rim) * self.cell_m + 2.5 * (self.tins - 1) * self.cell_m
+        rim = (1 + REACH) * self.cell_m if self.rim else 0.0
+        return 2 * self.widest_m + rim + 3.5 * (self.tins - 1) * self.cell_m
 
 
 class Growth(Model):
@@ -80,7 +81,7 @@ class Growth(Model):
     ) -> None:
         self.stage, self.threshold, self.scale = stage, threshold, scale
         cells = Cells.of(stage.cell_m, scale)
-        known = window.inside(cells, REACH if stage.rim else 0)
+        known = window.inside(cells, REACH) if stage.rim else window
         x, y, z = columns(points)
         box = box_with_ring(x, y, cells) if x.size else (0, 0, 1, 1)
         self._doubt = Doubt(known, known, box, scale)

@@ -85,6 +85,20 @@ def _start(grid: Int32, place: tuple[int, int, int, int, int], x: int, y: int) -
 
 
 @kernel
+def _owner(
+    vertices: Int32Array, triangles: Int32Array, usable: Bool, in_doubt: UInt8, t: int, x: int, y: int
+) -> tuple[int, bool]:
+    """The usable facet at a position off the vertices, -1 if there is none; whether that is sure.
+
+    Of the two at an edge the one that `locate` gives, unless the other alone is usable: which of them owns the edge
+    depends on both, and what lies behind one that is not usable nobody needs to know.
+    """
+    beside = across(vertices, triangles, t, x, y)
+    owner = t if usable[t] else (beside if usable[beside] else -1)
+    return owner, bool(usable[t] and usable[beside] and in_doubt[t] == 0 and in_doubt[beside] == 0)
+
+
+@kernel
 def _test(
     vertices: Int32Array, triangles: Int32Array, usable: Bool, grid: Int32, place: tuple[int, int, int, int, int],
     x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, near: Bool, distance: float, sine: float,
@@ -97,28 +111,31 @@ def _test(
         v = coincident_vertex(vertices, triangles, x[i], y[i], t)
         if v >= 0:
             passed[i] = abs(float(z[i]) - float(vertices[4 * v + 2])) * z_ratio <= distance
-            doubtful[i] = in_doubt[t] != 0
-        elif usable[t]:
-            off, corner = _gauge(vertices, triangles, t, x[i], y[i], z[i], z_ratio, largest)
+            doubtful[i] = near[i] and in_doubt[t] != 0
+            continue
+        owner, sure = _owner(vertices, triangles, usable, in_doubt, t, x[i], y[i])
+        doubtful[i] = near[i] and not sure
+        if owner >= 0:
+            off, corner = _gauge(vertices, triangles, owner, x[i], y[i], z[i], z_ratio, largest)
             passed[i] = off <= distance and off <= corner * sine
-            doubtful[i] = in_doubt[t] != 0 or in_doubt[across(vertices, triangles, t, x[i], y[i])] != 0
-        else:
-            doubtful[i] = near[i]
 
 
 @kernel
 def _count(
     vertices: Int32Array, triangles: Int32Array, usable: Bool, grid: Int32, place: tuple[int, int, int, int, int],
-    x: Int32, y: Int32, z: Int32, which: Bool, z_ratio: float, largest: bool, distance: float, angle: float,
-    counts: Int64,
+    x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, z_ratio: float, largest: bool, distance: float,
+    angle: float, counts: Int64,
 ) -> None:  # fmt: skip
     for i in range(x.size):
         if not which[i]:
             continue
         t = locate(vertices, triangles, x[i], y[i], _start(grid, place, x[i], y[i]))
-        if coincident_vertex(vertices, triangles, x[i], y[i], t) >= 0 or not usable[t]:
+        if coincident_vertex(vertices, triangles, x[i], y[i], t) >= 0:
             continue
-        off, corner = _gauge(vertices, triangles, t, x[i], y[i], z[i], z_ratio, largest)
+        owner, _sure = _owner(vertices, triangles, usable, in_doubt, t, x[i], y[i])
+        if owner < 0:
+            continue
+        off, corner = _gauge(vertices, triangles, owner, x[i], y[i], z[i], z_ratio, largest)
         row, column = int(off / distance), int(math.asin(min(off / corner, 1.0)) / angle)
         if row < counts.shape[0] and column < counts.shape[1]:
             counts[row, column] += 1
@@ -130,7 +147,8 @@ class Trial:
     A facet whose circumcircle is wider than `widest` says nothing about the ground within: its points are not
     tested. So what a window has to hold for a certain answer is bounded. A facet that is not wide is certain if its
     circle holds no place in doubt. If W's facet at a place is wide, one of U that is not would lie within 2 `widest`
-    of the place, and where no place in doubt is that near, it would be in W as well (`ptd/DESIGN.md`, Certificates).
+    of the place, and where no place in doubt is that near, it would be in W as well (`ptd/DESIGN.md`, Certificates);
+    a place on an edge between the two belongs to the facet that is not wide.
 
     Parameters
     ----------
@@ -191,6 +209,7 @@ class Trial:
         if self.usable.size:
             _count(
                 self.tin.vertex_array, self.tin.triangle_array, self.usable, self._grid, self._place, x, y, z, which,
-                self.scale.z_ratio, self.largest, self.scale.counts(bins.distance_m), bins.angle_rad, counts,
+                self.in_doubt, self.scale.z_ratio, self.largest, self.scale.counts(bins.distance_m), bins.angle_rad,
+                counts,
             )  # fmt: skip
         return counts

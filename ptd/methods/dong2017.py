@@ -31,9 +31,9 @@ Deviations: Otsu's threshold is used only where the histogram has a grey and a g
 cell holds a facade only if chance does not fill it so. A seed is dropped for a lower one only if ground cannot be so
 steep (equation 1), or on any slope the lowest alone would stay. The first angle is not explained in the paper: it is
 the contour's among the points within the first distance. The smallest of a point's angles counts, as the paper says
-in 3.3.4 (Axelsson takes the largest). The paper tests ground between facades alone; here each TIN of one density holds
-what passed in those before it, and a rim of virtual points on the planes of the ground around it, so ground grows beyond
-the facades. Facets across more than a few cells test nothing.
+in 3.3.4 (Axelsson takes the largest). The paper tests ground between facades alone; here each TIN of one density
+holds what passed in those before it, and a rim of virtual points on the planes of the ground around it, so ground
+grows beyond the facades. Facets across more than a few cells test nothing.
 """
 
 from __future__ import annotations
@@ -57,6 +57,12 @@ from ptd.passes import Method, Pass
 
 BLOCK_CELLS = 2
 """Cells beyond the one at `seed_distance` that may hold points of the block around a seed: one cut, one beside it."""
+
+MEASURED_SEEDS = 1.5
+"""Largest circumradius of a facet of seeds whose points are measured, in their cells: that of neighbouring ones."""
+
+SLACK_M = 1.0
+"""More than what roundings can add to a reach."""
 
 WIDEST_SEEDS = 3.0
 """Largest circumradius of a facet of seeds that tests points, in their cells: seeds lie along streets."""
@@ -129,11 +135,16 @@ class Dong2017:
     @property
     def passes(self) -> tuple[Pass, ...]:
         """Survey, seeds and their TIN; then a measurement and a densification for each density."""
-        steps: list[Pass] = [Survey(self), SeedPass(self), FirstMeasurement(self), FirstGround(self)]
+        first, measured_m = self.first_stage, MEASURED_SEEDS * self.seed_cell_m
+        steps: list[Pass] = [
+            Survey(self, max(roughness.REACH_M, self.facade_cell_m)), SeedPass(self, self.seed_reach_m),
+            FirstMeasurement(self, measured_m, 2 * measured_m + SLACK_M), FirstGround(first, first.reach_m + SLACK_M),
+        ]  # fmt: skip
         for spacing in self.spacings_m:
-            last = spacing == self.spacings_m[-1]
-            steps.append(Measurement(self, f"measure-{spacing:g}m", spacing))
-            steps.append(Densification(self, f"densify-{spacing:g}m", spacing, last))
+            stage, last = Stage.of_ground(spacing, self.tins), spacing == self.spacings_m[-1]
+            reach = (2 * MEASURED_CELLS + 1) * spacing + SLACK_M
+            steps.append(Measurement(self, f"measure-{spacing:g}m", spacing, reach))
+            steps.append(Densification(f"densify-{spacing:g}m", stage, last, stage.reach_m))
         return tuple(steps)
 
     @property
@@ -143,30 +154,23 @@ class Dong2017:
 
     @property
     def halo_m(self) -> float:
-        """With the margin, what the stages reach."""
-        stages = [self.first_stage, *(Stage.of_ground(s, self.tins) for s in self.spacings_m)]
-        return max(max(stage.reach_m for stage in stages) - self.margin_m, 0.0)
+        """What the first densification reaches; the others less."""
+        return Stage.of_ground(self.first_spacing_m, self.tins).reach_m
 
     @property
     def align_m(self) -> float:
-        """Windows hold whole seed cells."""
-        return self.seed_cell_m
+        """Windows hold whole cells of the first densification, and so of the others."""
+        return self.first_spacing_m
 
     @property
     def margin_m(self) -> float:
-        """Whatever the halo, statistics are exact, since windows hold the circles of the facets that they count."""
-        circles = 2 * self.measured_seeds_m, (2 * MEASURED_CELLS + 1) * self.first_spacing_m
-        return max(self.seed_reach_m, roughness.REACH_M, *circles)
+        """Nothing beyond the cells decides."""
+        return 0.0
 
     @property
     def candidate_cell_m(self) -> float:
         """Every point counts: facades are told by density, and the lowest of a cell is at the noise's lower end."""
         return 0.0
-
-    @property
-    def measured_seeds_m(self) -> float:
-        """Largest circumradius of a facet of seeds whose points are measured: that of seeds in neighbouring cells."""
-        return 1.5 * self.seed_cell_m
 
     @property
     def seed_reach_m(self) -> float:

@@ -15,7 +15,7 @@ from ptd import roughness
 from ptd.cells import Int32, lowest_per_cell
 from ptd.contour import contour_reach
 from ptd.facades import FacadeRule, Facades, density_of, facade_threshold, on_podium
-from ptd.frame import OPEN, Cells, Scale, Window
+from ptd.frame import Cells, Scale, Window
 from ptd.greenness import BINS, COLOURLESS, gli_bins, green_from, index_of_bin
 from ptd.growth import Growth, Stage, columns, labels_of, picks
 from ptd.labelling import GROUND, UNCLASSIFIED
@@ -45,6 +45,7 @@ class Survey(Pass):
     """Step 1 and what it takes to know facades: greenness, density and noise of the run."""
 
     params: Dong2017
+    reach_m: float | None
     name: str = "survey"
     columns: tuple[str, ...] = ("rgb",)
     every_point: bool = True
@@ -92,13 +93,14 @@ class SeedPass(Pass):
     """Steps 2 to 4: facades, seeds beside them, podiums. Labels: vegetation, seeds, the rest."""
 
     params: Dong2017
+    reach_m: float | None
     name: str = "seeds"
     columns: tuple[str, ...] = ("rgb",)
     every_point: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> SeedModel:
         """Find the window's seeds."""
-        return SeedModel(self.params, points, window, core, scale, state)
+        return SeedModel(self.params, points, core, scale, state)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Refuse a run without facades or seeds."""
@@ -129,6 +131,8 @@ class FirstMeasurement(Pass):
     """Step 5: distances of all points to the TIN of the seeds."""
 
     params: Dong2017
+    widest_m: float
+    reach_m: float | None
     name: str = "measure-first"
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
@@ -138,7 +142,7 @@ class FirstMeasurement(Pass):
         """Count the open points of the core in compact facets."""
         labels = labels_of(points)
         tin = Tin.build(*points.xyz[:, labels == GROUND])
-        trial = Trial(tin, scale, self.params.measured_seeds_m)
+        trial = Trial(tin, scale, self.widest_m)
         return _measured(trial, points, core, labels == UNCLASSIFIED)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
@@ -161,14 +165,15 @@ class FirstMeasurement(Pass):
 class FirstGround(Pass):
     """Step 5: the points within the first thresholds of the seeds' TIN."""
 
-    params: Dong2017
+    stage: Stage
+    reach_m: float | None
     name: str = "first"
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
         """Build the TIN of the seeds."""
-        return Growth(self.params.first_stage, Threshold(**state["threshold"]), points, window, scale)
+        return Growth(self.stage, Threshold(**state["threshold"]), points, window, scale)
 
 
 @dataclass(frozen=True)
@@ -178,6 +183,7 @@ class Measurement(Pass):
     params: Dong2017
     name: str
     spacing_m: float
+    reach_m: float | None
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
     gives_labels: bool = False
@@ -204,18 +210,17 @@ class Measurement(Pass):
 class Densification(Pass):
     """Step 6: points that pass in one of several TINs of one density."""
 
-    params: Dong2017
     name: str
-    spacing_m: float
+    stage: Stage
     last: bool
+    halo_m: float | None
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
         """Build the TINs."""
-        stage = Stage.of_ground(self.spacing_m, self.params.tins)
         kind = FinalGrowth if self.last else Growth
-        return kind(stage, Threshold(**state["threshold"]), points, window, scale)
+        return kind(self.stage, Threshold(**state["threshold"]), points, window, scale)
 
 
 class FinalGrowth(Growth):
@@ -246,12 +251,8 @@ class Measured(Model):
 class SeedModel(Model):
     """Seeds of a window."""
 
-    def __init__(
-        self, params: Dong2017, points: Points, window: Window, core: Window, scale: Scale, state: State
-    ) -> None:
+    def __init__(self, params: Dong2017, points: Points, core: Window, scale: Scale, state: State) -> None:
         self.green = state["green_from"]
-        reach = math.ceil(scale.counts(params.seed_reach_m))
-        self.known = _shrunk(window, reach)
         keep = ~_green(points, self.green)
         x, y, z = (np.ascontiguousarray(c) for c in points.xyz[:, keep])
         self._facade_points = 0
@@ -279,7 +280,7 @@ class SeedModel(Model):
                 if (int(x[i]), int(y[i]), int(z[i])) in self._seeds:
                     labels[i] = GROUND
         labels[_green(points, self.green)] = VEGETATION
-        return labels, ~_inside(points, self.known)
+        return labels, np.zeros(len(points), np.bool_)
 
     def partial(self) -> dict[str, Any]:
         """Points in facades and seeds of the core."""
@@ -354,13 +355,6 @@ def _points_by_count(x: Int32, y: Int32, cells: Cells, own: Bool) -> list[list[i
     _, slot, counts = np.unique(keys, return_inverse=True, return_counts=True)
     found, points = np.unique(counts[slot[own]], return_counts=True)
     return [[int(n), int(p)] for n, p in zip(found, points, strict=True)]
-
-
-def _shrunk(window: Window, by: int) -> Window:
-    return Window(
-        window.west + by if window.west > -OPEN else -OPEN, window.south + by if window.south > -OPEN else -OPEN,
-        window.east - by if window.east < OPEN else OPEN, window.north - by if window.north < OPEN else OPEN,
-    )  # fmt: skip
 
 
 def _within(x: Int32, y: Int32, window: Window) -> Bool:

@@ -25,8 +25,8 @@ def test_threshold_of_equation_3_by_hand() -> None:
 
 def test_a_sparse_cloud_is_not_all_facades() -> None:
     """1 point/m2: equation 3 gives 2, which chance puts into a quarter of all cells of flat ground."""
-    assert facade_threshold(1.0, 3.0, 1.0, 0.5) == 1 + 4 * 1
-    assert facade_threshold(9.0, 3.0, 1.0, 0.5) == 9 + 4 * 3
+    assert facade_threshold(1.0, 3.0, 1.0, 0.5) == 1 + 5 * 1
+    assert facade_threshold(9.0, 3.0, 1.0, 0.5) == 9 + 5 * 3
 
 
 def test_density_is_that_of_the_median_cell() -> None:

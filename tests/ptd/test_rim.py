@@ -18,7 +18,9 @@ def block(rows: int, columns: int) -> np.ndarray:
     """A point somewhere in each cell of a block, on a plane: int32 [3, n]."""
     rng = np.random.default_rng(3)
     c0, r0 = CELLS.column(0) + 1, CELLS.row(0) + 1
-    corners = np.array([(CELLS.west(c0 + c), CELLS.south(r0 + r)) for r in range(rows) for c in range(columns)])
+    corners = np.array(
+        [(CELLS.west(c0 + c), CELLS.south(r0 + r)) for r in range(rows) for c in range(columns)]
+    )
     xy = corners.T + rng.integers(0, 400, (2, len(corners)))
     return np.vstack([xy, plane(*xy)]).astype(np.int32)
 
