@@ -17,7 +17,7 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.errors import DamagedError, DiskFullError, ProcessingError
 from tiler.observe.events import Listener
 from tiler.perform import peak_rss_bytes, perform
-from tiler.plan import Plan
+from tiler.plan import Plan, plan_json
 from tiler.report import write_run_file
 from tiler.schedule import Executor, Limits, Outcome, Task, make_executor
 from tiler.store import LEASE_SECONDS, Lease, TileStore
@@ -26,6 +26,9 @@ LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "raste
 
 MEMORY_TIMES, MEMORY_MORE_BYTES = 2, 512 << 20
 """A worker that allocates so many times what it is allowed, and more, has gone wrong: the system must not suffer."""
+
+PACKED_COMMITS = 256
+"""So many tasks of a stage that are done are told of in one object when it ends, as each costs a request to ask for."""
 
 Warm = Callable[[Callable[[], None]], None]
 Commits = dict[str, tuple[str, dict[str, Any]]]
@@ -84,8 +87,7 @@ class Job:
 
         Else a run that is killed on the way would leave commits whose data are another run's.
         """
-        for key in keys:
-            self.store.uncommit(stage, key)
+        self.store.uncommit(stage, *keys)
 
     def perform(self, stage: str, tasks: Iterable[Task], warm: Warm | None = None) -> Commits:
         """Do what is not done yet of a stage; commits of all its tasks that succeeded.
@@ -122,6 +124,7 @@ class Job:
             raise DamagedError(f"{self.store.url}: {', '.join(keys)}: damaged or gone; run again", keys)
         seconds = round(time.monotonic() - start, 3)
         self.computed += len(todo)
+        self.store.compact(stage, PACKED_COMMITS)
         self.stages[stage] = {**info, "computed": len(todo), "seconds": seconds, "peak_rss_bytes": cpu_peak}
         self.listener("stage_finished", {"stage": stage, "seconds": seconds})
         self.save("running")
@@ -179,7 +182,7 @@ class Job:
         """Write run.json and return its content."""
         content = {
             "state": state, "version": __version__, "configuration": self.plan.config.to_json(),
-            "plan": self.plan.to_json(), "libraries": {name: version(name) for name in LIBRARIES},
+            "plan": plan_json(self.plan), "libraries": {name: version(name) for name in LIBRARIES},
             "stages": self.stages, "quarantined": self.quarantined, "failed_tasks": self.failed,
             "peak_rss_bytes": max([peak_rss_bytes(), *(s["peak_rss_bytes"] for s in self.stages.values())]),
             **self.facts,

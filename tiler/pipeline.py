@@ -24,7 +24,7 @@ from tiler.healing import ROUNDS, heal
 from tiler.job import Commits, Job, RunResult
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
-from tiler.plan import KEEP, Plan, crs_name, make_plan, refuse
+from tiler.plan import KEEP, Plan, crs_name, make_plan, refuse, remember
 from tiler.rasters import export, grid
 from tiler.schedule import Task
 from tiler.store import BucketInfo, Lease, TileStore, create_store, open_store, remove_store, store_exists
@@ -111,6 +111,7 @@ def _locked_run(
         if job.executor is not None:
             job.executor.close()
     job.facts["seconds"] = round(time.monotonic() - started, 3)
+    remember(plan, job.stages)
     summary = job.save("done")
     listener("run_finished", {"seconds": job.facts["seconds"]})
     return RunResult(5 if job.quarantined or job.failed else 0, summary, job.computed == 0)
@@ -303,7 +304,7 @@ def _filter(job: Job, assembled: Assembled) -> dict[Cell, str]:
             for task in tasks:
                 if task.key not in filtered:
                     _keep_classes(job, task)
-            labels = label_digests(job.plan, assembled, filtered)
+            labels = label_digests(assembled, filtered)
     return labels
 
 
@@ -354,10 +355,11 @@ def _make_folder(out: Path) -> None:
 
 
 def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
-    """The store, and the plan with what the store's first run settled: frame, buckets, tile size, resolution."""
+    """The store, and the plan with what its first run settled: frame, buckets, tiles, resolution, thinning."""
     if not store_exists(url):
         store = create_store(url, plan.meta)
-        store.put_state("settled", {"tile": str(plan.tile), "resolution": str(plan.resolution)})
+        first = {"tile": str(plan.tile), "resolution": str(plan.resolution)}
+        store.put_state("settled", {**first, "memory": plan.memory, "thin": plan.thin_ground})
         return plan, store
     store = open_store(url)
     old, new = store.meta, plan.meta
@@ -370,10 +372,13 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
         raise ConfigError(
             f"{url}: was made without colours, the inputs have some; use --overwrite or another -o"
         )
-    settled = store.get_state("settled") or {}
-    config = plan.config
-    tile = config.tile_size or Fraction(settled.get("tile", str(plan.tile)))
+    settled: dict[str, Any] = store.get_state("settled") or {}
+    config, frozen = plan.config, Fraction(settled.get("tile", str(plan.tile)))
+    tile = config.tile_size or frozen
     resolution = config.resolution or Fraction(settled.get("resolution", str(plan.resolution)))
-    plan = dataclasses.replace(plan, meta=old, tile=tile, resolution=resolution)
+    memory = settled.get("memory", plan.memory) if tile == frozen else plan.memory
+    plan = dataclasses.replace(
+        plan, meta=old, tile=tile, resolution=resolution, tile_memory=memory, thin=settled.get("thin")
+    )
     refuse(plan, None)
     return plan, store

@@ -101,9 +101,9 @@ def _write(job: Job, stage: str, tasks: list[Task], out: Path) -> bool:
         else Path(t.arguments["out"])
         for t in tasks
     }
-    for key, (_, record) in job.store.committed(stage).items():
-        if key in files and not (files[key].exists() and files[key].stat().st_size == record["bytes"]):
-            job.store.uncommit(stage, key)
+    known = {k: r["bytes"] for k, (_, r) in job.store.committed(stage).items() if k in files}
+    gone = [k for k, size in known.items() if not (files[k].exists() and files[k].stat().st_size == size)]
+    job.take_back(stage, gone)
     written = job.perform(stage, tasks)
     job.facts["outputs"] |= {
         str(files[k].relative_to(out)): record["bytes"] for k, (_, record) in written.items()

@@ -33,6 +33,7 @@ from tiler.ingest import (
 )
 from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
+from tiler.tiles import hull, tiles_of
 
 ERODE_RISE_M = 1
 """How much higher than a ground point an object beside it has to be for `--erode`."""
@@ -174,61 +175,40 @@ class Assembled:
         return union
 
 
-def tiles_of(plan: Plan, cells: Iterable[Cell]) -> dict[Cell, list[Cell]]:
-    """Tile -> its buckets: each bucket belongs to the tile that holds its centre."""
-    size = plan.meta.frame.counts(plan.tile)
-    found: dict[Cell, list[Cell]] = defaultdict(list)
-    for cell in cells:
-        centre = [(i + Fraction(1, 2)) * plan.meta.bucket.size for i in (cell.ix, cell.iy)]
-        found[Cell(*(math.floor(c / size) for c in centre))].append(cell)
-    return {tile: sorted(found[tile]) for tile in sorted(found)}
-
-
 def filter_tasks(
     plan: Plan, assembled: Assembled, number: int, state: Mapping[str, Any], before: Mapping[Cell, str]
 ) -> Iterator[Task]:
     """One for each tile of a pass; ``before``: bucket -> digest of its contents and its labels so far."""
     frame = plan.meta.frame
-    halo = math.ceil(frame.counts(Fraction(plan.passes[number].halo_m)))
-    farthest = math.ceil(frame.counts(Fraction(plan.widest_halo_m(plan.passes[number]))))
     params = METHODS[plan.config.method].params(**plan.parameters)
     earlier = [i for i in range(number) if params.passes[i].gives_labels]
     step, last = params.passes[number], number == len(params.passes) - 1
-    sight = farthest + math.ceil(frame.counts(Fraction(sight_m(step, params))))
+    beyond = math.ceil(frame.counts(Fraction(sight_m(step, params))))
     reads = "labels" in step.columns
-    for tile, cells in tiles_of(plan, assembled.records).items():
+    for tile in tiles_of(plan, assembled.records, plan.passes[number]):
         arguments = {
             "method": plan.config.method, "parameters": plan.parameters, "pass": number, "state": dict(state),
-            "cells": [[c.ix, c.iy] for c in cells], "halo": halo, "max_halo": farthest,
+            "cells": [[c.ix, c.iy] for c in tile.cells], "halo": tile.halo, "max_halo": tile.max_halo,
             "keep_classes": list(plan.config.keep_classes), "skip_flags": skip_flags(plan),
             "labels_in": f"{LABELS}-{earlier[-1]}" if earlier and reads else None,
             "labels_out": LABELS if last else f"{LABELS}-{number}",
         }  # fmt: skip
-        seen = _around(plan.meta.bucket, cells, sight, before if reads else assembled.digests)
-        points = sum(assembled.records[c]["n"] for c in cells)
+        sight = hull(plan.meta.bucket, tile.cells).pad(tile.max_halo + beyond)
+        digests = before if reads else assembled.digests
+        seen = [[c.ix, c.iy, digests[c]] for c in plan.meta.bucket.cells(sight) if c in digests]
+        points = sum(assembled.records[c]["n"] for c in tile.cells)
         digest = digest_of(__version__, arguments, seen)
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, arguments, points)
 
 
-def _around(lattice: Lattice, cells: Iterable[Cell], pad: int, digests: Mapping[Cell, str]) -> list[Any]:
-    """Digests of the buckets within ``pad`` counts of some buckets."""
-    hull: Bounds | None = None
-    for cell in cells:
-        hull = lattice.bounds(cell) if hull is None else hull.union(lattice.bounds(cell))
-    assert hull is not None  # a tile has a bucket
-    return [[c.ix, c.iy, digests[c]] for c in lattice.cells(hull.pad(pad)) if c in digests]
-
-
 def label_digests(
-    plan: Plan, assembled: Assembled, filtered: Mapping[str, tuple[str, dict[str, Any]]]
+    assembled: Assembled, filtered: Mapping[str, tuple[str, dict[str, Any]]]
 ) -> dict[Cell, str]:
-    """Bucket -> digest of its contents and of the labels that a pass gave it."""
-    found: dict[Cell, str] = {}
-    for tile, cells in tiles_of(plan, assembled.records).items():
-        labels = filtered[f"t{tile.name}"][1]["labels"] if f"t{tile.name}" in filtered else "none"
-        for cell in cells:
-            found[cell] = digest_of(labels, assembled.digests[cell])
-    return found
+    """Bucket -> digest of its contents and of the labels that a pass gave it; of a tile that failed it gave none."""
+    labels = dict.fromkeys(assembled.records, "none")
+    for _, record in filtered.values():
+        labels |= {Cell(*cell): record["labels"] for cell in record["cells"]}
+    return {cell: digest_of(given, assembled.digests[cell]) for cell, given in labels.items()}
 
 
 def raster_spec(plan: Plan, assembled: Assembled) -> RasterSpec:

@@ -106,14 +106,9 @@ def test_summary_of_an_early_stage() -> None:
 
 
 def test_plan(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    class Plan:
-        def lines(self) -> list[str]:
-            return ["inputs  1", "tiles   4"]
-
-        def to_json(self) -> dict[str, int]:
-            return {"tiles": 4}
-
-    monkeypatch.setattr("tiler.plan.make_plan", lambda inputs, config: Plan())
+    monkeypatch.setattr("tiler.plan.make_plan", lambda inputs, config: 4)
+    monkeypatch.setattr("tiler.plan.plan_lines", lambda plan: ["inputs  1", f"tiles   {plan}"])
+    monkeypatch.setattr("tiler.plan.plan_json", lambda plan: {"tiles": plan})
     assert main(["plan", "a.laz"]) == 0
     assert capsys.readouterr().out == "inputs  1\ntiles   4\n"
     assert main(["plan", "a.laz", "--json"]) == 0

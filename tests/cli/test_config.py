@@ -21,15 +21,8 @@ def effective(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Call ``tiler plan`` with options; the settings that reach the library."""
     seen: list[RunConfig] = []
 
-    class NoPlan:
-        def lines(self) -> list[str]:
-            return []
-
-    def make_plan(inputs: tuple[str, ...], config: RunConfig) -> NoPlan:
-        seen.append(config)
-        return NoPlan()
-
-    monkeypatch.setattr("tiler.plan.make_plan", make_plan)
+    monkeypatch.setattr("tiler.plan.make_plan", lambda inputs, config: seen.append(config))
+    monkeypatch.setattr("tiler.plan.plan_lines", lambda plan: [])
 
     def call(*options: str) -> RunConfig:
         assert main(["plan", "a.laz", *options]) == 0

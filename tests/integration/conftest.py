@@ -20,7 +20,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoScene:
 
 @pytest.fixture
 def small_buckets(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tiler.plan.BUCKET_POINTS", 1000)
+    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
 
 
 @pytest.fixture(scope="session")

@@ -204,7 +204,7 @@ def test_a_tile_that_fails_leaves_no_old_labels(
     assert (after != before).any()
     assert_classes_of_the_input(out, demo, broken)
     monkeypatch.undo()
-    monkeypatch.setattr("tiler.plan.BUCKET_POINTS", 1000)
+    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
     mended = do(list(demo.paths), out, parameters={"iteration_distance": "1.39"})
     assert mended.exit_code == 0
     assert computed(mended)["filter0"] == 1

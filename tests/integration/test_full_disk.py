@@ -64,7 +64,9 @@ def room(folder: Path) -> int:
 def test_a_disk_that_fills_up(
     share: float, cloud: Path, whole: Path, disk: SmallDisk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.plan.Plan.projected_disk", lambda plan: 0)  # else the plan would refuse
+    monkeypatch.setattr(
+        "tiler.plan.refuse.projected_disk", lambda plan: {"store": 0}
+    )  # else the plan would refuse
     disk.has(int(room(whole) * share))
     out = disk.folder / "out"
     with pytest.raises(DiskFullError, match="the disk is full; free some and run again") as caught:

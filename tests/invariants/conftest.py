@@ -14,7 +14,7 @@ from tests.invariants.runs import do
 @pytest.fixture(autouse=True)
 def small_buckets(monkeypatch: pytest.MonkeyPatch) -> None:
     """Buckets of 32 m, so that a scene has dozens of them; their size is settled in the store and changes no result."""
-    monkeypatch.setattr("tiler.plan.BUCKET_POINTS", 1000)
+    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
 
 
 @pytest.fixture(scope="session")
@@ -39,6 +39,6 @@ def finished(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory
     """OUT of an undisturbed run of four files in this process: what all others are compared with. Not to be changed."""
     out = tmp_path_factory.mktemp("finished") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tiler.plan.BUCKET_POINTS", 1000)
+        patch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
         do(quarter_files, out)
     return out

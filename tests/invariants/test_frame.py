@@ -25,7 +25,7 @@ def test_the_frame_offset_is_in_no_result(
 ) -> None:
     near = int(CORNER[0] * 1000), int(CORNER[1] * 1000)
     origin = near[0] + offset[0], near[1] + offset[1]
-    monkeypatch.setattr("tiler.plan._origin", lambda extent: origin)
+    monkeypatch.setattr("tiler.plan.sizes.origin_of", lambda extent: origin)
     do(quarter_files, tmp_path / "out")
     assert the_store(tmp_path / "out").meta.frame.origin == origin
     assert output_digests(tmp_path / "out") == output_digests(finished)

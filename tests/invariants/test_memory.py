@@ -66,7 +66,7 @@ def test_a_run_that_would_need_more_is_refused_before_it_reads(
 def test_the_tile_size_of_an_earlier_run_is_refused_with_less_memory(
     city_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.plan.VERTEX_BYTES", 60_000)
+    monkeypatch.setattr("tiler.plan.memory.VERTEX_BYTES", 60_000)
     do(city_file, tmp_path / "out", until="ingest", tile_size="512", memory="8GiB")
     with pytest.raises(ConfigError, match=r"filter needs .* MiB are allowed"):
         do(city_file, tmp_path / "out", until="ingest", tile_size=None, memory="800MiB")

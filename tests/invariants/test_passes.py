@@ -19,7 +19,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings, stored_labels
 from tests.ptd.tiling import inside
 from tiler.errors import ConfigError
-from tiler.plan import make_plan
+from tiler.plan import make_plan, plan_json, plan_lines
 
 HIGH, LOW = 3, 4
 
@@ -110,7 +110,7 @@ class Parameters:
 @pytest.fixture(autouse=True)
 def lonely(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(METHODS, "lonely", Method("lonely", "three passes", Parameters))
-    monkeypatch.setattr("tiler.plan.BUCKET_POINTS", 1000)
+    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
 
 
 def expected(cloud: clouds.Cloud) -> np.ndarray:
@@ -144,8 +144,8 @@ def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
 
     ours = plan(halo=None)
     assert [step.halo_m for step in ours.passes] == [0.0, 8.0, 8.0]
-    assert "method      lonely, 3 passes, halo: mean 0 m, split 8 m, lonely 8 m" in ours.lines()
-    assert ours.to_json()["halos_m"] == {"mean": 0.0, "split": 8.0, "lonely": 8.0}
+    assert "method      lonely, 3 passes, halo: mean 0 m, split 8 m, lonely 8 m" in plan_lines(ours)
+    assert plan_json(ours)["halos_m"] == {"mean": 0.0, "split": 8.0, "lonely": 8.0}
     assert ours.overlap == pytest.approx(48**2 / 32**2)
     assert [ours.widest_halo_m(step) for step in ours.passes] == [0.0, 32.0, 8.0]
     assert not any("--halo" in note for note in ours.notes)

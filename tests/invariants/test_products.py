@@ -29,7 +29,7 @@ def made(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) ->
     """OUT of a run with all products. Not to be changed."""
     out = tmp_path_factory.mktemp("products") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tiler.plan.BUCKET_POINTS", 1000)
+        patch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
         do(quarter_files, out, products=ALL, resolution=RESOLUTION)
     return out
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-import tiler.plan
+import tiler.plan.sizes
 import tiler.schedule.workers
 from ptd import classify
 from tests.invariants import runs  # noqa: F401
 
-tiler.plan.BUCKET_POINTS = 1000
+tiler.plan.sizes.BUCKET_POINTS = 1000
 x, y = (axis.ravel() for axis in np.meshgrid(np.arange(60.0), np.arange(60.0)))
 classify(np.stack([x, y, np.sin(x / 9)], axis=1))

@@ -7,6 +7,7 @@ Before them, in one process: `find_inputs`, `inspect`, `agree`, `pieces`.
 
 from tiler.ingest.assemble import assemble_buckets
 from tiler.ingest.georeference import Agreement, Georeference, agree
+from tiler.ingest.patches import Patch
 from tiler.ingest.requantise import bounds_in_counts
 from tiler.ingest.sources import (
     SourceInfo,
@@ -23,6 +24,7 @@ from tiler.ingest.strays import Strays, find_strays
 __all__ = [
     "Agreement",
     "Georeference",
+    "Patch",
     "SourceInfo",
     "Strays",
     "agree",

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.errors import InputError
+from tiler.ingest.patches import Patch, find_patches
 from tiler.las.headers import LasHeader
 from tiler.las.reader import COORDINATES, PointReader, Records, rows_at_once
 
-_PLACES = 8
+_PLACES = 16
 _SAMPLE = 2048
 _SCAN = 1 << 19
 _WIDEST = 1e6
@@ -39,11 +40,14 @@ class Extent:
         They are the header's, whole, and a sample of the points lies inside: points outside of them are strays.
     note : str or None
         What people should know.
+    patches : tuple of Patch
+        How the points are spread over the bounds, estimated.
     """
 
     bounds: tuple[float, ...] | None
     claimed: bool
     note: str | None = None
+    patches: tuple[Patch, ...] = ()
 
 
 def find_extent(header: LasHeader) -> Extent:
@@ -63,7 +67,8 @@ def find_extent(header: LasHeader) -> Extent:
     with PointReader(header, COORDINATES) as reader:
         last = header.point_count - 1
         starts = sorted({_chunk_start(header, last * i // (_PLACES - 1)) for i in range(_PLACES)})
-        near = _Hull.of(header, (reader.read(s, min(_SAMPLE, header.point_count - s)) for s in starts))
+        sample = [reader.read(s, min(_SAMPLE, header.point_count - s)) for s in starts]
+        near = _Hull.of(header, sample)
         claim = _Hull(np.array(header.mins), np.array(header.maxs))
         note = None
         claimed = bool(np.all(claim.high - claim.low <= _WIDEST)) and claim.holds(near, header.scales)
@@ -80,7 +85,18 @@ def find_extent(header: LasHeader) -> Extent:
     if trimmed is not None:
         claim, claimed = trimmed, False
         note = "a few of its points, or the bounds of its header, lie far from all others: the plan leaves them out"
-    return Extent((*claim.low.tolist(), *claim.high.tolist()), claimed, note)
+    low, high = claim.low.tolist(), claim.high.tolist()
+    patches = find_patches(
+        [_plan_view(header, block) for block in sample], header.point_count, (*low[:2], *high[:2])
+    )
+    return Extent((*low, *high), claimed, note, patches)
+
+
+def _plan_view(header: LasHeader, records: Records) -> Array:
+    """Places of records in units of the CRS, shape (2, n)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        axes = [records[n] * header.scales[i] + header.offsets[i] for i, n in enumerate("XY")]
+    return np.stack(axes).astype(np.float64)
 
 
 @dataclass(frozen=True)

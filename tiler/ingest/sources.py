@@ -15,6 +15,7 @@ from tiler.core.lattice import Bounds
 from tiler.errors import ConfigError, InputError
 from tiler.ingest.extent import find_extent
 from tiler.ingest.georeference import Georeference, georeference
+from tiler.ingest.patches import Patch
 from tiler.las.columns import RGB_FORMATS
 from tiler.las.headers import read_header
 from tiler.las.reader import count_decodable, rows_at_once
@@ -56,6 +57,8 @@ class SourceInfo:
         The bounds are the header's, and a sample of points lies inside.
     notes : tuple of str
         What people should know.
+    patches : tuple of Patch
+        How the points are spread, estimated from a few.
     """
 
     path: Path
@@ -75,6 +78,7 @@ class SourceInfo:
     bounds: tuple[float, ...] | None
     claimed: bool
     notes: tuple[str, ...]
+    patches: tuple[Patch, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """A JSON-able description."""
@@ -177,7 +181,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         copc=any(v.is_copc for v in header.vlrs), has_rgb=header.point_format in RGB_FORMATS,
         salvaged=salvage and bool(header.notes), scales=header.scales, georeference=place, bounds=extent.bounds,
         claimed=extent.claimed,
-        notes=(*notes, *(place.notes if place.kind != "missing" else ())),
+        notes=(*notes, *(place.notes if place.kind != "missing" else ())), patches=extent.patches,
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from tiler.errors import StoreError
@@ -34,24 +34,29 @@ def committed(storage: Storage, stage: str) -> Commits:
     return found
 
 
-def compact(storage: Storage, stage: str) -> None:
+def compact(storage: Storage, stage: str, fewest: int = 1) -> None:
     """Pack the commits of a stage into one object: for the coordinator, while no task of the stage runs.
 
-    A stage of 10^5 tasks would otherwise cost 10^5 requests each time that somebody asks what is done.
+    A stage of 10^5 tasks would otherwise cost 10^5 requests each time that somebody asks what is done. Fewer than
+    ``fewest`` are left as they are.
     """
     names = _names(storage, stage)
-    if names:
+    if len(names) >= fewest:
         storage.put_json(layout.pack_key(stage), committed(storage, stage))
         for name in names:
             storage.delete(layout.commit_key(stage, name))
 
 
-def uncommit(storage: Storage, stage: str, key: str) -> None:
-    """Take back that a task is done: for the coordinator."""
+def uncommit(storage: Storage, stage: str, keys: Collection[str]) -> None:
+    """Take back that some tasks are done: for the coordinator. The pack is written once, however many they are."""
+    if not keys:
+        return
     pack = _packed(storage, stage)
-    if pack.pop(key, None) is not None:
-        storage.put_json(layout.pack_key(stage), pack)
-    storage.delete(layout.commit_key(stage, key))
+    if not pack.keys().isdisjoint(keys):
+        gone = set(keys)
+        storage.put_json(layout.pack_key(stage), {k: c for k, c in pack.items() if k not in gone})
+    for key in keys:
+        storage.delete(layout.commit_key(stage, key))
 
 
 def clear(storage: Storage, stage: str) -> None:

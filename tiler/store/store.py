@@ -52,13 +52,13 @@ class TileStore:
         """Key -> (digest, record) of every finished task of a stage; damaged commits count as none."""
         return commits.committed(self._storage, stage)
 
-    def compact(self, stage: str) -> None:
-        """Pack the commits of a finished stage into one object (*coordinator*)."""
-        commits.compact(self._storage, stage)
+    def compact(self, stage: str, fewest: int = 1) -> None:
+        """Pack the commits of a finished stage into one object if there are so many apart (*coordinator*)."""
+        commits.compact(self._storage, stage, fewest)
 
-    def uncommit(self, stage: str, key: str) -> None:
-        """Take back that a task is done (*coordinator*)."""
-        commits.uncommit(self._storage, stage, key)
+    def uncommit(self, stage: str, *keys: str) -> None:
+        """Take back that some tasks are done (*coordinator*)."""
+        commits.uncommit(self._storage, stage, keys)
 
     def clear(self, stage: str) -> None:
         """Take back everything that a stage has done (*coordinator*)."""

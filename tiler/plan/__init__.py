@@ -1,0 +1,28 @@
+"""The plan: everything that can be decided or refused before the first point is read.
+
+`make` reads the headers and decides, `model` is the plan; `sizes` has the rules for buckets, tiles and pixels,
+`memory` what a worker needs, `crowd` where the points are thickest, `disk` and `rates` what else it takes; `refuse`
+says no; `words` tells people.
+"""
+
+from tiler.plan.make import make_plan, output_names
+from tiler.plan.memory import PlannedPass
+from tiler.plan.model import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
+from tiler.plan.rates import remember
+from tiler.plan.refuse import refuse
+from tiler.plan.words import crs_name, plan_json, plan_lines
+
+__all__ = [
+    "GRID_BLOCK",
+    "KEEP",
+    "PIECE_POINTS",
+    "Plan",
+    "PlannedPass",
+    "crs_name",
+    "make_plan",
+    "output_names",
+    "plan_json",
+    "plan_lines",
+    "refuse",
+    "remember",
+]

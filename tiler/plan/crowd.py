@@ -1,0 +1,73 @@
+"""Where the points are thickest: a map of the density, estimated from a few points of each file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.ingest import Patch
+
+CELL_M = 64.0
+"""Side of a cell of the map: about a bucket."""
+MOST_CELLS = 1_000_000
+"""Of the map; where files cover more, its cells are larger."""
+
+
+class Crowd:
+    """Points by cell of a coarse lattice.
+
+    Parameters
+    ----------
+    patches : iterable of Patch
+        Rectangles that hold some points, evenly, in units of the CRS.
+    metres : float
+        Of a unit of the CRS.
+    """
+
+    def __init__(self, patches: Iterable[Patch], metres: float) -> None:
+        found = [(p.x0 * metres, p.y0 * metres, p.x1 * metres, p.y1 * metres, p.points) for p in patches]
+        boxes = np.array(found, np.float64).reshape(-1, 5)
+        area = float(np.sum((boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])))
+        self._cell = CELL_M
+        while area / self._cell**2 > MOST_CELLS:
+            self._cell *= 2
+        self._points = float(boxes[:, 4].sum())
+        parts = [_shares(box, self._cell) for box in boxes]
+        cells = np.concatenate([np.empty((0, 2), np.int64), *(c for c, _ in parts)])
+        self._cells, place = np.unique(cells, axis=0, return_inverse=True)
+        weights = np.concatenate([np.empty(0), *(w for _, w in parts)])
+        self._held = np.bincount(place.ravel(), weights, minlength=len(self._cells))
+
+    def fullest(self, side_m: float) -> float:
+        """About how many points the fullest square of that side holds."""
+        if side_m <= self._cell:
+            return float(self._held.max(initial=0.0)) * (side_m / self._cell) ** 2
+        # Squares of whole cells, on four lattices that are half a square apart; the rest by area.
+        count = int(side_m // self._cell)
+        best = 0.0
+        for east in {0, count // 2}:
+            for north in {0, count // 2}:
+                squares = (self._cells + (east, north)) // count
+                _, place = np.unique(squares, axis=0, return_inverse=True)
+                best = max(best, float(np.bincount(place.ravel(), self._held).max(initial=0.0)))
+        return min(best * (side_m / (count * self._cell)) ** 2, self._points)
+
+
+def _shares(
+    box: npt.NDArray[np.float64], cell: float
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """The cells that a rectangle touches, int64 (n, 2), and the points that fall to each, by area."""
+    columns, across = _overlaps(box[0], box[2], cell)
+    rows, along = _overlaps(box[1], box[3], cell)
+    ix, iy = np.meshgrid(columns, rows)
+    share = np.outer(along, across)
+    return np.stack([ix.ravel(), iy.ravel()], axis=1), share.ravel() * (box[4] / share.sum())
+
+
+def _overlaps(low: float, high: float, cell: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Indices of the cells along an axis, and how much of each lies between ``low`` and ``high``."""
+    index = np.arange(int(np.floor(low / cell)), int(np.floor(high / cell)) + 1)
+    part = np.minimum((index + 1) * cell, high) - np.maximum(index * cell, low)
+    return index, np.maximum(part, 1e-9)

@@ -1,0 +1,163 @@
+"""Making the plan: the headers read, everything settled that can be settled from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from ptd.methods import METHODS, make_params
+from ptd.params import to_json
+from ptd.passes import Pass
+from tiler.config import RunConfig
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Lattice
+from tiler.errors import ConfigError, InputError
+from tiler.ingest import SourceInfo, agree, bounds_in_counts, find_inputs, inspect, inspect_guarded
+from tiler.plan import sizes
+from tiler.plan.crowd import Crowd
+from tiler.plan.memory import FINE_CELL_M, PlannedPass
+from tiler.plan.model import KEEP, Plan
+from tiler.plan.refuse import refuse, warnings_of
+from tiler.report import earlier_statistics
+from tiler.schedule import Guard
+from tiler.store import StoreMeta
+
+
+def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None) -> Plan:
+    """Read the headers, settle CRS, units, method, sizes, and refuse what cannot work.
+
+    Parameters
+    ----------
+    inputs : sequence of str
+        Files, folders, globs.
+    config : RunConfig
+    out : Path, optional
+        The run's folder: not searched for inputs, and its disk is checked.
+
+    Raises
+    ------
+    ConfigError
+        Settings that cannot work: method, parameters, memory, disk.
+    InputError
+        No readable input, or a CRS that cannot be used.
+    """
+    parameters, defaults = _method(config)
+    notes: list[str] = []
+    paths = find_inputs(inputs, () if out is None else (out,), notes.append)
+    sources, unreadable = _inspect_all(paths, config)
+    agreement = agree(sources, config)
+    notes += agreement.notes
+    filled = [s for s in sources if s.points and s.bounds is not None]
+    notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
+    if not filled:
+        raise InputError(f"{_names(sources)}: hold no point; nothing to make a terrain of")
+    limits = None if config.bounds is None else bounds_in_counts(config.bounds)
+    metres = float(agreement.units.horizontal)
+    extent, area = sizes.extent_of(filled, metres)
+    frame = CoordFrame(agreement.units, sizes.origin_of(extent), agreement.wkt)
+    points = sum(s.points for s in filled)
+    density, crowd = points / area, Crowd((patch for s in filled for patch in s.patches), metres)
+    memory = config.memory or min(1 << 30, psutil.virtual_memory().total // (4 * (psutil.cpu_count() or 1)))
+    meta = StoreMeta(
+        frame=frame, bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, crowd, memory)))),
+        fine=Lattice(frame.counts(FINE_CELL_M)), has_rgb=any(s.has_rgb for s in filled),
+    )  # fmt: skip
+    if defaults and "rgb" in METHODS[config.method].needs and not meta.has_rgb:
+        raise ConfigError(
+            f"--method {config.method}: needs colours (RGB), no input has any; use another method"
+        )
+    cell = defaults.candidate_cell_m if defaults else 0.0
+    passes = _planned_passes(defaults, config, notes) if defaults else ()
+    tile = config.tile_size or sizes.tile_m(memory, density, cell, passes, meta)
+    warnings = warnings_of(filled, agreement.units, tile, max((step.halo_m for step in passes), default=0.0))
+    plan = Plan(
+        config, tuple(sources), tuple(unreadable), meta, limits, parameters,
+        sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
+        config.workers or psutil.cpu_count() or 1, cell, points, area, limits or extent, crowd, None,
+        output_names(inputs, sources), tuple(notes), tuple(warnings),
+        None if config.statistics is None else earlier_statistics(Path(config.statistics), config.method, parameters),
+    )  # fmt: skip
+    refuse(plan, out)
+    return plan
+
+
+def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[Path, Path]:
+    """Path of each classified file below OUT/classified; ConfigError where two would be one."""
+    folders = [Path(i) for i in inputs if Path(i).is_dir()]
+    names: dict[Path, Path] = {}
+    taken: dict[str, Path] = {}
+    for source in sources:
+        below = [source.path.relative_to(f) for f in folders if source.path.is_relative_to(f)]
+        name = below[0] if below else Path(source.path.name)
+        stem = name.name[: -len(name.suffix)]
+        stem = stem.removesuffix(".copc") if source.copc else stem
+        name = name.with_name(f"{stem}.laz")
+        if str(name).lower() in taken:
+            raise ConfigError(
+                f"{source.path} and {taken[str(name).lower()]} would both become classified/{name}; "
+                "rename one, or run on a folder that holds both in different places"
+            )
+        taken[str(name).lower()] = source.path
+        names[source.path] = name
+    return names
+
+
+def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
+    """Parameters as plain values, and their dataclass; ({}, None) for `keep`."""
+    if config.method == KEEP:
+        if config.parameters:
+            raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters")
+        return {}, None
+    if config.method not in METHODS:
+        raise ConfigError(f"--method {config.method}: there is {', '.join([*METHODS, KEEP])}")
+    try:
+        params = make_params(config.method, dict(config.parameters))
+    except ValueError as error:
+        raise ConfigError(f"--set {error} (method {config.method})") from error
+    return to_json(params), params
+
+
+def _names(sources: Sequence[SourceInfo]) -> str:
+    return f"{sources[0].path}" + (f" and {len(sources) - 1} more files" if len(sources) > 1 else "")
+
+
+def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
+    sources: list[SourceInfo] = []
+    unreadable: list[tuple[str, str]] = []
+    with Guard() as guard:
+        look = inspect if config.in_process else partial(inspect_guarded, guard)
+        for path in paths:
+            try:
+                sources.append(look(path, config.salvage))
+            except InputError as error:
+                if config.on_error == "stop" or len(paths) == 1:
+                    raise
+                unreadable.append((str(path), str(error)))
+    if not sources:
+        raise InputError(f"none of {len(paths)} inputs can be read; the first: {unreadable[0][1]}")
+    return sources, unreadable
+
+
+def _planned_passes(params: Any, config: RunConfig, notes: list[str]) -> tuple[PlannedPass, ...]:
+    """The passes of a method with the halo that each starts with."""
+
+    def halo(step: Pass) -> float:
+        if step.reach_m is not None:
+            return step.reach_m
+        if config.halo is not None:
+            return float(config.halo)
+        return float(params.halo_m if step.halo_m is None else step.halo_m)
+
+    fixed = [step for step in params.passes if step.reach_m is not None]
+    if config.halo is not None and fixed:
+        notes.append(
+            "--halo is for passes whose reach is not known beforehand; "
+            + ", ".join(f"{step.name} sees {step.reach_m:g} m" for step in fixed)
+            + ", as far as they reach"
+        )
+    return tuple(PlannedPass(s.name, halo(s), s.reach_m is not None, s.every_point) for s in params.passes)

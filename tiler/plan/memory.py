@@ -1,0 +1,81 @@
+"""What a worker needs: bytes by stage and by window, all of them from numbers of points.
+
+The factors were measured: peak resident memory of workers over the points of their windows (DESIGN.md, "The plan").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+FINE_CELL_M = Fraction(1, 2)
+"""Side of the store's cells, each with one candidate."""
+BASE_BYTES = 260 << 20
+"""Of a worker before the first point: the interpreter and the libraries."""
+READ_BYTES = 60
+"""Of a candidate that a window reads: columns, sorting."""
+VERTEX_BYTES = 200
+"""Of a candidate that may become a vertex: its columns while it is tested, its share of the TIN."""
+BUCKET_POINT_BYTES = 200
+"""Of a point while its bucket is labelled."""
+ASSEMBLY_POINT_BYTES = 800
+"""Of a point while its bucket is assembled: fragments, keys and their order."""
+SPOOL_POINT_BYTES = 160
+"""Of a point while its piece is decoded and sorted."""
+GROUND_BYTES = 200
+"""Of a ground point in a block's window: coordinates and the TIN."""
+
+
+@dataclass(frozen=True)
+class PlannedPass:
+    """What a pass of the method sees of a tile's surroundings.
+
+    Attributes
+    ----------
+    name : str
+    halo_m : float
+    fixed : bool
+        The halo is the pass's proven reach and never widened (`ptd.passes.Pass.reach_m`).
+    every_point : bool
+        It reads all points, not one candidate a cell.
+    """
+
+    name: str
+    halo_m: float
+    fixed: bool
+    every_point: bool
+
+
+def nested(cell_m: float) -> bool:
+    """Whether a method's cells of ``cell_m`` are made of whole fine cells, so that candidates are all it reads."""
+    return cell_m > 0 and (Fraction(repr(float(cell_m))) / FINE_CELL_M).denominator == 1
+
+
+def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass) -> float:
+    """Bytes, above `BASE_BYTES`, that a window of a pass needs.
+
+    Parameters
+    ----------
+    points : float
+        Of the window, candidates or not.
+    area_m2 : float
+        Of the window.
+    cell_m : float
+        Of the method's thinning cell (`candidate_cell_m`); 0: it has none.
+    step : PlannedPass
+    """
+    vertices = min(points, area_m2 / cell_m**2) if cell_m > 0 else points
+    read = points
+    if not step.every_point and nested(cell_m):
+        read = min(points, area_m2 / float(FINE_CELL_M) ** 2)
+    return read * READ_BYTES + vertices * VERTEX_BYTES
+
+
+def bucket_bytes(points: float) -> int:
+    """Bytes of a worker that labels a bucket, above those of its window."""
+    return int(points * BUCKET_POINT_BYTES)
+
+
+def ingest_bytes(piece_points: int, bucket_points: float) -> int:
+    """Peak bytes of a worker that decodes pieces and assembles buckets."""
+    return int(BASE_BYTES + max(piece_points * SPOOL_POINT_BYTES, bucket_points * ASSEMBLY_POINT_BYTES))

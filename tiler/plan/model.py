@@ -1,0 +1,172 @@
+"""The plan itself: what was settled, and what follows from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from tiler.config import RunConfig
+from tiler.core.lattice import Bounds
+from tiler.ingest import SourceInfo
+from tiler.plan.crowd import Crowd
+from tiler.plan.memory import (
+    BASE_BYTES,
+    GROUND_BYTES,
+    PlannedPass,
+    bucket_bytes,
+    filter_bytes,
+    ingest_bytes,
+)
+from tiler.store import StoreMeta
+
+KEEP = "keep"
+"""The method that trusts the classes of the input."""
+
+GRID_BLOCK = 512
+MAX_HALO_FACTOR = 4
+PIECE_POINTS = 1_000_000
+MAX_GROUND = 4_000_000
+"""Points that the window of a part of a block may hold; denser clouds give one a quarter pixel, everywhere."""
+PART = 128
+"""Pixels a side of the parts into which blocks are divided where points are many."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run will do; lengths in metres, sizes in bytes.
+
+    Attributes
+    ----------
+    sources : tuple of SourceInfo
+        That can be read, in the order of their names; with `unreadable` all that were named.
+    unreadable : tuple of (str, str)
+        Path and reason of each file that is left out.
+    memory : int
+        That a worker may use.
+    tile_memory : int
+        That the tiles are cut for: `memory` of the first run on a store, whatever later ones may use.
+    thin : bool or None
+        As the first run on a store decided; None: as `thin_ground` does.
+    crowd : Crowd
+        Where the points are thickest.
+    names : dict of Path to Path
+        Of each source's classified file, below OUT/classified.
+    statistics : dict or None
+        State after each pass, by its name, of the earlier run that ``--statistics`` names.
+    """
+
+    config: RunConfig
+    sources: tuple[SourceInfo, ...]
+    unreadable: tuple[tuple[str, str], ...]
+    meta: StoreMeta
+    limits: Bounds | None
+    parameters: dict[str, Any]
+    resolution: Fraction
+    tile: Fraction
+    passes: tuple[PlannedPass, ...]
+    memory: int
+    tile_memory: int
+    workers: int
+    candidate_cell_m: float
+    points: int
+    area_m2: float
+    extent: Bounds
+    crowd: Crowd
+    thin: bool | None = None
+    names: dict[Path, Path] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = field(default=())
+    statistics: dict[str, Any] | None = None
+
+    @property
+    def density(self) -> float:
+        """Points per square metre of the sources' bounds."""
+        return self.points / self.area_m2 if self.area_m2 else 0.0
+
+    @property
+    def bucket_m(self) -> float:
+        """Side of a bucket."""
+        return float(self.meta.bucket.size * self.meta.frame.metres_xy)
+
+    @property
+    def grid_halo(self) -> Fraction:
+        """Metres around a block with which it seldom needs more: a little more than the limit of a facet's edges."""
+        return self.config.max_edge * Fraction(101, 100)
+
+    @property
+    def thin_ground(self) -> bool:
+        """Only one ground point per quarter pixel makes the surface."""
+        if self.thin is not None:
+            return self.thin
+        return self.density * (PART * float(self.resolution) + 2 * float(self.grid_halo)) ** 2 > MAX_GROUND
+
+    @property
+    def block_points(self) -> int:
+        """Points in the window of a block above which it is done in parts."""
+        return max((self.memory - BASE_BYTES) // GROUND_BYTES, MAX_GROUND // 8)
+
+    @property
+    def halo_m(self) -> float:
+        """The widest halo that a pass starts with, metres."""
+        return max((step.halo_m for step in self.passes), default=0.0)
+
+    @property
+    def overlap(self) -> float:
+        """Padded area over core area of a filter tile, in the pass that sees most."""
+        return float(((self.tile + 2 * Fraction(self.halo_m)) / self.tile) ** 2)
+
+    @property
+    def tiles(self) -> int:
+        """Filter tiles, if the sources' bounds were filled."""
+        return max(math.ceil(self.area_m2 / float(self.tile) ** 2), 1)
+
+    @property
+    def fullest_bucket(self) -> float:
+        """About how many points the fullest bucket holds."""
+        return max(self.density * self.bucket_m**2, self.crowd.fullest(self.bucket_m))
+
+    def fullest_window(self) -> int:
+        """About how many points the fullest window of a filter tile holds, halo included."""
+        side = float(self.tile) + 2 * self.halo_m
+        mean = min(self.density * side**2, self.points)
+        return int(max(mean, self.crowd.fullest(side)))
+
+    def projected_memory(self) -> dict[str, int]:
+        """Peak bytes of a worker by stage."""
+        return {
+            "ingest": ingest_bytes(PIECE_POINTS, self.fullest_bucket),
+            "filter": max((self._projected_filter(step) for step in self.passes), default=0),
+            "grid": BASE_BYTES + min(self.points, self.block_points) * GROUND_BYTES,
+        }
+
+    def _projected_filter(self, step: PlannedPass) -> int:
+        """Of a pass: the mean tile with its widest halo, or the fullest one, divided until it fits or is one bucket."""
+        mean = self.filter_peak(step, float(self.tile), self.widest_halo_m(step))
+        whole = self.filter_peak(step, float(self.tile), step.halo_m, crowded=True)
+        least = self.filter_peak(step, self.bucket_m, step.halo_m, crowded=True)
+        return max(mean, min(whole, max(self.tile_memory, least)))
+
+    def filter_peak(self, step: PlannedPass, side_m: float, halo_m: float, crowded: bool = False) -> int:
+        """Peak bytes of a worker with a tile of that side and halo, of the mean density or in the fullest place."""
+        side = side_m + 2 * halo_m
+        area = min(side**2, self.area_m2)
+        points, bucket = self.density * area, self.density * self.bucket_m**2
+        if crowded:
+            points, bucket = max(points, self.crowd.fullest(side)), self.fullest_bucket
+        window = filter_bytes(points, area, self.candidate_cell_m, step)
+        return int(BASE_BYTES + window + bucket_bytes(bucket))
+
+    def widest_halo_m(self, step: PlannedPass) -> float:
+        """Metres of halo that a tile with marks may take: doubled and doubled again while the memory allows."""
+        halo = step.halo_m
+        if step.fixed:
+            return halo
+        while (
+            0 < halo < MAX_HALO_FACTOR * step.halo_m
+            and self.filter_peak(step, float(self.tile), 2 * halo) <= self.tile_memory
+        ):
+            halo *= 2
+        return halo

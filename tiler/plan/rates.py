@@ -1,0 +1,82 @@
+"""How long it takes: from the rates of earlier runs on this machine, which the user's cache folder remembers."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from tiler import __version__
+from tiler.plan.model import Plan
+
+TYPICAL = {"spool": 0.9, "assemble": 0.7, "filter": 1.0, "grid": 0.7, "export": 0.7}
+"""Worker seconds a million points where nothing is known of a stage; measured on a city, other machines differ."""
+
+FEWEST_POINTS = 1_000_000
+"""Of a run that is remembered: smaller ones take the time of their start."""
+
+_NEWEST = 0.5
+"""Weight of the newest run in what is remembered."""
+
+
+def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
+    """Keep the rates of the stages that a run did from beginning to end.
+
+    A cache that cannot be written is none: the plan then says that its time is another machine's.
+
+    Parameters
+    ----------
+    plan : Plan
+    stages : mapping
+        Name -> ``tasks``, ``computed`` (of these, in this run) and ``seconds``, as in ``run.json``.
+    """
+    if plan.points < FEWEST_POINTS or plan.config.scheduler is not None:
+        return
+    known = _read()
+    for stage, facts in stages.items():
+        if facts["computed"] and facts["computed"] == facts["tasks"]:
+            rate, name = facts["seconds"] * plan.workers / plan.points * 1e6, _name(plan, stage)
+            known[name] = rate if name not in known else (1 - _NEWEST) * known[name] + _NEWEST * rate
+    path = _path()
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(json.dumps({"version": __version__, "seconds_per_million": known}, indent=1))
+        os.replace(partial, path)
+
+
+def projected_seconds(plan: Plan) -> tuple[float, bool]:
+    """Seconds of the whole job, and whether all of it rests on earlier runs of this machine."""
+    products = dict.fromkeys(("dtm", *plan.config.products))
+    stages = [
+        "spool", "assemble", *(f"filter{number}" for number in range(len(plan.passes))),
+        *(f"grid-{name}" for name in products), "export",
+    ]  # fmt: skip
+    known = _read()
+    rates = [known.get(_name(plan, s), TYPICAL[re.split(r"[-\d]", s)[0]]) for s in stages]
+    return sum(rates) * plan.points / 1e6 / plan.workers, all(_name(plan, s) in known for s in stages)
+
+
+def _name(plan: Plan, stage: str) -> str:
+    """Under which a rate is kept: filters differ by method."""
+    return f"{plan.config.method}:{stage}" if stage.startswith("filter") else stage
+
+
+def _path() -> Path:
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(home) / "tiler-dtm" / "rates.json"
+
+
+def _read() -> dict[str, float]:
+    """What is remembered of this version; a file of another one, or a damaged one, is as none."""
+    try:
+        content = json.loads(_path().read_text())
+        if content["version"] != __version__:
+            return {}
+        return {str(k): float(v) for k, v in content["seconds_per_million"].items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}

@@ -1,0 +1,114 @@
+"""What cannot work is refused here, each with what would; what is doubtful is warned of."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.errors import ConfigError
+from tiler.ingest import SourceInfo
+from tiler.plan.disk import projected_disk
+from tiler.plan.model import Plan
+
+MAX_DENOMINATOR = 511
+"""Of a pixel's side in counts, so that gridding is exact in int64."""
+WIDEST_RELIEF_M = 9000
+
+
+def warnings_of(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo: float) -> list[str]:
+    """What is probably wrong, or costs more than it need."""
+    found = []
+    z = [s.bounds for s in sources if s.bounds is not None]
+    relief = (max(b[5] for b in z) - min(b[2] for b in z)) * float(units.vertical)
+    if relief > WIDEST_RELIEF_M:
+        found.append(
+            f"heights span {relief:,.0f} m, more than any terrain: noise far from the ground, "
+            "or z is in another unit; --units h,v"
+        )
+    for source in sources:
+        assert source.bounds is not None  # the caller's choice
+        x0, y0, z0, x1, y1, z1 = source.bounds
+        side = max(min(x1 - x0, y1 - y0), 1.0) * float(units.horizontal)
+        rise = (z1 - z0) * float(units.vertical)
+        if side > 50 and rise > 2 * side:
+            found.append(
+                f"{source.path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
+            )
+    overlap = float(((tile + 2 * Fraction(halo)) / tile) ** 2)
+    if overlap > 2:
+        found.append(
+            f"tiles of {float(tile):g} m with {halo:g} m of halo do {overlap:.1f} times the work; "
+            f"use --tile-size {4 * halo:g} or more --memory"
+        )
+    return found
+
+
+def refuse(plan: Plan, out: Path | None) -> None:
+    """Raise ConfigError for settings that would fail on the way: memory, disk, resolution, bounds."""
+    _refuse_memory(plan)
+    pixel = plan.meta.frame.counts(plan.resolution)
+    if pixel.denominator > MAX_DENOMINATOR:
+        raise ConfigError(
+            f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units "
+            "is too odd a fraction; give it in the unit of the CRS"
+        )
+    sheets = plan.config.sheets
+    if sheets is not None and (sheets / plan.resolution).denominator != 1:
+        raise ConfigError(
+            f"--sheets {float(sheets):g} m: no whole number of pixels of {float(plan.resolution):g} m; "
+            f"use --sheets {float(max(round(sheets / plan.resolution), 1) * plan.resolution):g} or another --resolution"
+        )
+    if plan.extent.empty:
+        raise ConfigError("--bounds: holds no place")
+    if out is not None:
+        _refuse_disk(plan, out)
+
+
+def _refuse_memory(plan: Plan) -> None:
+    memory = plan.projected_memory()
+    worst = max(memory, key=lambda k: memory[k])
+    if memory[worst] > plan.memory:
+        raise ConfigError(
+            f"{worst} needs {memory[worst] / 2**20:,.0f} MiB a worker, {plan.memory / 2**20:,.0f} MiB are allowed; "
+            f"use --memory {memory[worst] // 2**20 + 1}MiB{_instead(plan, worst)}"
+        )
+
+
+def _instead(plan: Plan, stage: str) -> str:
+    """The other setting that would make a stage fit, besides more memory; empty where there is none."""
+    if stage == "grid" and plan.grid_halo > plan.resolution:
+        return " or a smaller --max-edge"
+    if stage != "filter":
+        return ""
+
+    def fits(side: float, halo: float) -> bool:
+        halos = {step: step.halo_m if step.fixed else halo for step in plan.passes}
+        return all(plan.filter_peak(s, side, h, crowded=True) <= plan.memory for s, h in halos.items())
+
+    count = int(float(plan.tile) // plan.bucket_m)
+    sides = [plan.bucket_m * n for n in range(count - 1, 0, -1) if fits(plan.bucket_m * n, plan.halo_m)]
+    if sides:
+        return f" or --tile-size {sides[0]:g}"
+    halos = [halo for halo in range(int(plan.halo_m), 0, -1) if fits(plan.bucket_m, halo)]
+    if halos:
+        return f" or --halo {halos[0]} --tile-size {plan.bucket_m:g}"
+    return " or another --method"
+
+
+def _refuse_disk(plan: Plan, out: Path) -> None:
+    existing = next(p for p in (out, *out.resolve().parents) if p.exists())
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise ConfigError(f"-o {out}: {existing} cannot be written; name a folder on a disk that can")
+    disk = projected_disk(plan)
+    need = sum(disk.values()) - (disk["store"] if plan.config.store is not None else 0)
+    free = shutil.disk_usage(existing).free
+    if need > free:
+        raise ConfigError(
+            f"{out}: needs about {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free; "
+            "free some, or use --store on another disk or fewer --products"
+        )

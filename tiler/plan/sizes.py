@@ -1,0 +1,79 @@
+"""Sizes that follow from the points: buckets, tiles, pixels, and where the counts of a run begin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+
+from tiler.config import RunConfig
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds
+from tiler.ingest import SourceInfo
+from tiler.plan.crowd import Crowd
+from tiler.plan.memory import ASSEMBLY_POINT_BYTES, BASE_BYTES, PlannedPass, filter_bytes
+from tiler.store import StoreMeta
+
+BUCKET_POINTS = 100_000
+BUCKETS_M = (8, 16, 32, 64, 128)
+TILE_M = 512
+
+
+def extent_of(sources: Sequence[SourceInfo], metres: float) -> tuple[Bounds, float]:
+    """Union of the sources' bounds in absolute counts, and the area that they cover in m2 (overlaps count twice)."""
+    area = 0.0
+    union: Bounds | None = None
+    for source in sources:
+        assert source.bounds is not None  # the caller's choice
+        x0, y0, _, x1, y1, _ = source.bounds
+        area += max(x1 - x0, 1.0) * max(y1 - y0, 1.0) * metres**2
+        low, high = (
+            (math.floor(v * COUNTS_PER_UNIT) for v in (x0, y0)),
+            (math.ceil(v * COUNTS_PER_UNIT) for v in (x1, y1)),
+        )
+        bounds = Bounds(*low, *(v + 1 for v in high))
+        union = bounds if union is None else union.union(bounds)
+    assert union is not None  # at least one source
+    return union, area
+
+
+def origin_of(extent: Bounds) -> tuple[int, int]:
+    """The middle of the extent, on a round number: int32 counts then reach equally far to all sides."""
+    step = 1000 * COUNTS_PER_UNIT
+    return (extent.x0 + extent.x1) // 2 // step * step, (extent.y0 + extent.y1) // 2 // step * step
+
+
+def bucket_m(density: float, crowd: Crowd, memory: int) -> int:
+    """Side of a bucket in metres: about `BUCKET_POINTS` on the mean, and in the fullest place no more than fit."""
+    side = math.sqrt(BUCKET_POINTS / density)
+    wanted = min(BUCKETS_M, key=lambda b: abs(math.log(b / side)))
+    most = (memory - BASE_BYTES) / ASSEMBLY_POINT_BYTES
+    fitting = [b for b in BUCKETS_M if b <= wanted and crowd.fullest(b) <= most]
+    return max(fitting, default=BUCKETS_M[0])
+
+
+def tile_m(
+    memory: int, density: float, cell_m: float, passes: Iterable[PlannedPass], meta: StoreMeta
+) -> Fraction:
+    """Largest tile, at most `TILE_M`, whose windows use three quarters of the memory left after start-up."""
+    budget = max(memory - BASE_BYTES, memory // 4) * 3 / 4
+    sides = [
+        math.sqrt(budget / filter_bytes(density, 1.0, cell_m, step)) - 2 * step.halo_m for step in passes
+    ]
+    side = min(sides, default=float(TILE_M))
+    bucket = meta.bucket.size * meta.frame.metres_xy
+    return max(min(Fraction(TILE_M), Fraction(max(side, 0.0))) // bucket, 1) * bucket
+
+
+def resolution_of(config: RunConfig, density: float, notes: list[str]) -> Fraction:
+    """1 m, or the mean spacing of the points where that is coarser."""
+    if config.resolution is not None:
+        return config.resolution
+    spacing = 1 / math.sqrt(density)
+    if spacing <= 1.05:
+        return Fraction(1)
+    resolution = Fraction(math.ceil(2 * spacing), 2)
+    notes.append(
+        f"resolution {float(resolution):g} m: the points are {spacing:.2g} m apart; --resolution overrides"
+    )
+    return resolution

@@ -1,0 +1,78 @@
+"""The plan as people read it, and as plain values."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.units import unit_label
+from tiler.plan.disk import projected_disk
+from tiler.plan.memory import PlannedPass
+from tiler.plan.model import Plan
+from tiler.plan.rates import projected_seconds
+
+
+def plan_json(plan: Plan) -> dict[str, Any]:
+    """Everything as plain values."""
+    frame, disk = plan.meta.frame, projected_disk(plan)
+    seconds, measured = projected_seconds(plan)
+    return {
+        "inputs": len(plan.sources), "unreadable": [list(u) for u in plan.unreadable], "points": plan.points,
+        "area_m2": plan.area_m2, "density_per_m2": plan.density, "crs": frame.crs_wkt,
+        "units": {"horizontal": unit_label(frame.units.horizontal), "vertical": unit_label(frame.units.vertical)},
+        "method": plan.config.method, "parameters": plan.parameters, "passes": len(plan.passes),
+        "halos_m": {step.name: step.halo_m for step in plan.passes},
+        "resolution_m": float(plan.resolution), "tile_m": float(plan.tile), "bucket_m": plan.bucket_m,
+        "halo_m": plan.halo_m, "tiles": plan.tiles, "overlap_work": plan.overlap,
+        "fullest_window_points": plan.fullest_window(), "workers": plan.workers, "memory_bytes": plan.memory,
+        "projected_memory_bytes": plan.projected_memory(), "projected_disk_bytes": sum(disk.values()),
+        "disk_bytes": disk, "projected_seconds": seconds, "rates_of_this_machine": measured,
+        "notes": list(plan.notes), "warnings": list(plan.warnings),
+    }  # fmt: skip
+
+
+def plan_lines(plan: Plan) -> list[str]:
+    """The plan line by line."""
+    frame, memory, disk = plan.meta.frame, plan.projected_memory(), projected_disk(plan)
+    worst = max(memory, key=lambda k: memory[k])
+    metres = float(frame.metres_xy)
+    west, south = plan.extent.x0 / COUNTS_PER_UNIT, plan.extent.y0 / COUNTS_PER_UNIT
+    wide, high = (plan.extent.x1 - plan.extent.x0) * metres, (plan.extent.y1 - plan.extent.y0) * metres
+    seconds, measured = projected_seconds(plan)
+    return [
+        f"inputs      {len(plan.sources)} files, {plan.points:,} points, {plan.density:.3g} per m2",
+        f"extent      {wide:,.0f} x {high:,.0f} m from ({west:,.1f}, {south:,.1f})",
+        f"CRS         {crs_name(frame.crs_wkt)}; x, y in {unit_label(frame.units.horizontal)}, "
+        f"z in {unit_label(frame.units.vertical)}",
+        f"method      {plan.config.method}" + _passes_in_words(plan.passes),
+        f"DTM         {float(plan.resolution):g} m pixels, "
+        f"nodata beyond facets of {float(plan.config.max_edge):g} m",
+        f"products    {', '.join(plan.config.products)}",
+        f"tiles       about {plan.tiles} of {float(plan.tile):g} m with {plan.halo_m:g} m of halo, "
+        f"overlap work {plan.overlap:.2f}, about {plan.fullest_window():,} points in the fullest window",
+        "memory      "
+        + ", ".join(f"{stage} {size / 2**20:,.0f}" for stage, size in memory.items() if size)
+        + f" MiB: a worker needs {memory[worst] / 2**20:,.0f} MiB at most ({worst}), "
+        f"{plan.memory / 2**20:,.0f} MiB allowed, {plan.workers} workers",
+        f"disk        about {sum(disk.values()) / 1e9:.2f} GB: "
+        + ", ".join(f"{name} {size / 1e9:.2f}" for name, size in disk.items() if size),
+        f"time        about {seconds:,.0f} s, plus start-up"
+        + ("" if measured else " (rates of another machine where none of an earlier run here are known)"),
+        *(f"note        {text}" for text in plan.notes),
+        *(f"warning     {text}" for text in plan.warnings),
+        *(f"left out    {path}: {reason}" for path, reason in plan.unreadable),
+    ]
+
+
+def _passes_in_words(passes: tuple[PlannedPass, ...]) -> str:
+    """Number of passes, and what each sees around a tile where there are several."""
+    if len(passes) < 2:
+        return ", 1 pass" if passes else ""
+    return f", {len(passes)} passes, halo: " + ", ".join(f"{step.name} {step.halo_m:g} m" for step in passes)
+
+
+def crs_name(wkt: str | None) -> str:
+    """The name of a CRS for people."""
+    if wkt is None:
+        return "unknown"
+    return wkt.split('"', 2)[1] if '"' in wkt else wkt

@@ -1,0 +1,106 @@
+"""The filter tiles: sets of buckets, so small that the window around each fits the memory that they are cut for.
+
+How a tile is cut depends on the number of points in its window alone, which is known once the buckets are assembled.
+The memory is that of the first run on the store: later ones with more or less of it find the same tiles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.plan import Plan, PlannedPass
+from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, nested
+from tiler.plan.model import MAX_HALO_FACTOR
+
+Records = Mapping[Cell, Mapping[str, Any]]
+"""Bucket -> what its assembly recorded: ``n`` points, ``n_candidates`` of them."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """The buckets of a tile.
+
+    Attributes
+    ----------
+    name : str
+        Of the cell of the tile lattice that it is; of a part of one that was divided also level and place.
+    cells : tuple of Cell
+        Its buckets, those whose centres it holds, sorted.
+    halo, max_halo : int
+        Counts around it that a pass sees to begin with, and with which it ends.
+    """
+
+    name: str
+    cells: tuple[Cell, ...]
+    halo: int
+    max_halo: int
+
+
+def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
+    """The tiles of a pass, from the west."""
+    size = plan.meta.frame.counts(plan.tile)
+    groups = _by_centre(plan.meta.bucket, records, size)
+    for cell in sorted(groups):
+        yield from _fitting(plan, records, step, groups[cell], cell.name, size, 0)
+
+
+def _fitting(
+    plan: Plan,
+    records: Records,
+    step: PlannedPass,
+    cells: Sequence[Cell],
+    name: str,
+    size: Fraction,
+    level: int,
+) -> Iterator[Tile]:
+    """A tile, or its quarters where its window holds too many points; one bucket is not divided."""
+    halo = math.ceil(plan.meta.frame.counts(Fraction(step.halo_m)))
+    if len(cells) > 1 and _bytes(plan, records, step, cells, halo) > plan.tile_memory:
+        quarters = _by_centre(plan.meta.bucket, cells, size / 2)
+        root = name.split(".")[0]
+        for place in sorted(quarters):
+            below = f"{root}.{level + 1}{place.name}"
+            yield from _fitting(plan, records, step, quarters[place], below, size / 2, level + 1)
+        return
+    widest = halo
+    while (
+        not step.fixed
+        and 0 < widest < MAX_HALO_FACTOR * halo
+        and _bytes(plan, records, step, cells, 2 * widest) <= plan.tile_memory
+    ):
+        widest *= 2
+    yield Tile(name, tuple(sorted(cells)), halo, widest)
+
+
+def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[Cell, list[Cell]]:
+    """Buckets by the cell, of ``size`` counts, that holds their centre."""
+    found: dict[Cell, list[Cell]] = defaultdict(list)
+    for cell in cells:
+        place = [math.floor((i + Fraction(1, 2)) * lattice.size / size) for i in (cell.ix, cell.iy)]
+        found[Cell(*place)].append(cell)
+    return found
+
+
+def hull(lattice: Lattice, cells: Iterable[Cell]) -> Bounds:
+    """The smallest bounds that hold some buckets, of which there is one at least."""
+    first, *others = (lattice.bounds(cell) for cell in cells)
+    for other in others:
+        first = first.union(other)
+    return first
+
+
+def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
+    """Peak bytes of a worker that does a tile with that halo: the points of its window are known."""
+    lattice = plan.meta.bucket
+    column = "n_candidates" if not step.every_point and nested(plan.candidate_cell_m) else "n"
+    window = hull(lattice, cells).pad(halo)
+    held = [records[cell][column] for cell in lattice.cells(window) if cell in records]
+    area = len(held) * plan.bucket_m**2
+    bucket = max(records[cell]["n"] for cell in cells)
+    return int(BASE_BYTES + filter_bytes(sum(held), area, plan.candidate_cell_m, step) + bucket_bytes(bucket))
