@@ -7,17 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from tiler.core.products import PRODUCTS
-from tiler.observe.progress import duration_text, rate_text
+from tiler.observe.progress import duration_text, rate_text, size_text
 
-_RASTERS = {f"{name}.{kind}" for name in PRODUCTS for kind in ("tif", "vrt")}
-
-
-def size_text(size: float) -> str:
-    """A number of bytes: ``812.0 MiB``."""
-    for factor, unit in ((1 << 30, "GiB"), (1 << 20, "MiB"), (1 << 10, "KiB")):
-        if size >= factor:
-            return f"{size / factor:.1f} {unit}"
-    return f"{size:.0f} bytes"
+_RASTERS = {f"{name}.{kind}": place for place, name in enumerate(PRODUCTS) for kind in ("tif", "vrt")}
+"""Names of the products' files, and their order."""
 
 
 def percent_text(fraction: float | None) -> str:
@@ -43,13 +36,15 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     if "filter" in summary:
         facts = summary["filter"]
         lines.append(f"ground      {facts['ground']:,} points, in {facts['tiles']:,} tiles" + _marked(facts))
-    rasters = [name for name in summary.get("outputs", {}) if name in _RASTERS]
+    rasters = sorted(_RASTERS.keys() & summary.get("outputs", {}), key=_RASTERS.__getitem__)
     for name in rasters[:1]:
         facts = summary["dtm"]
         size = f"{facts['width']:,} x {facts['height']:,} pixels of {facts['resolution_m']:g} m"
         lines.append(f"{name.split('.')[0].upper():12s}{Path(out) / name}, {size}")
     if rasters[1:]:
         lines.append(f"products    {', '.join(str(Path(out) / name) for name in rasters[1:])}")
+    if summary.get("report"):
+        lines.append(f"report      {Path(out) / summary['report']}")
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
     lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
     lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")

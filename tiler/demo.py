@@ -11,6 +11,8 @@ from tiler.config import RunConfig
 from tiler.evaluate import Scene, evaluate_dtm, evaluate_scenes
 from tiler.observe.events import Listener
 from tiler.pipeline import run
+from tiler.report.accuracy import EVALUATION, write_measured
+from tiler.report.html import write_report
 from tiler.simulate import DemoScene, demo_city
 
 RESOLUTION_M = Fraction(1)
@@ -64,12 +66,10 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
     scene = demo_city(out / "input", seed)
     config = config.updated(resolution=RESOLUTION_M)
     result = run([str(path) for path in scene.paths], str(out), config, listener)
-    return DemoResult(
-        result.summary,
-        _score_classes(out, scene),
-        evaluate_dtm(out / "dtm.tif", scene.dtm_path),
-        result.exit_code,
-    )
+    classes, dtm = _score_classes(out, scene), evaluate_dtm(out / "dtm.tif", scene.dtm_path)
+    write_measured(out, EVALUATION, {**classes, "dtm": dtm})
+    write_report(out)
+    return DemoResult(result.summary, classes, dtm, result.exit_code)
 
 
 def _score_classes(out: Path, scene: DemoScene) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
@@ -29,6 +30,9 @@ MEMORY_TIMES, MEMORY_MORE_BYTES = 2, 512 << 20
 
 PACKED_COMMITS = 256
 """So many tasks of a stage that are done are told of in one object when it ends, as each costs a request to ask for."""
+
+PLACED = ("filter", "grid-")
+"""Stages whose tasks are tiles of the map in the report."""
 
 Warm = Callable[[Callable[[], None]], None]
 Commits = dict[str, tuple[str, dict[str, Any]]]
@@ -67,12 +71,16 @@ class Job:
     quarantined: list[dict[str, str]] = field(default_factory=list)
     failed: list[dict[str, Any]] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    tiles: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
     damaged: set[str] = field(default_factory=set)
     lease: Lease | None = None
     held: float = field(default_factory=time.monotonic)
 
     def note(self, text: str) -> None:
-        """Tell people what was decided for them."""
+        """Tell people what was decided for them, now and in run.json."""
+        if text not in self.notes:  # a stage that is done again says the same again
+            self.notes.append(text)
         self.listener("note", {"text": text})
 
     def sorted_out(self, stage: str, tasks: Iterable[Task]) -> tuple[Commits, Commits]:
@@ -105,15 +113,19 @@ class Job:
             "points": sum(t.points for t in todo),
         }
         self.listener("stage_started", info)
+        if stage.startswith(PLACED):
+            places = {key: self._place(task) for key, task in wanted.items()}
+            self.tiles[stage] = {key: _tile_facts(task, places[key], done) for key, task in wanted.items()}
         start, cpu_peak = time.monotonic(), 0
         if todo and warm is not None and self.plan.config.scheduler is None:
-            warm(lambda: self.note("compiling kernels (once on this machine)"))
+            warm(lambda: self.listener("note", {"text": "compiling kernels (once on this machine)"}))
         if todo and self.executor is None:
             config, memory = self.plan.config, MEMORY_TIMES * self.plan.memory + MEMORY_MORE_BYTES
             self.executor = make_executor(
                 self.plan.workers, config.scheduler, config.in_process, Limits(memory, config.task_seconds)
             )
         for outcome in self.executor.run(perform, self.store.url, todo) if todo and self.executor else ():
+            self._tell_tile(outcome)
             self._finished(outcome)
             self._hold()
             cpu_peak = max(cpu_peak, outcome.peak_rss_bytes)
@@ -165,6 +177,18 @@ class Job:
                 f"{task.stage} {task.key}: {outcome.error}; --on-error skip goes on without it"
             )
 
+    def _tell_tile(self, outcome: Outcome) -> None:
+        """What became of a tile; one that is tried again stays ``waiting``."""
+        tile = self.tiles.get(outcome.task.stage, {}).get(outcome.task.key)
+        if tile is None:
+            return
+        if outcome.record is not None:
+            tile.update(_made(outcome.record))
+            tile["seconds"] = round(outcome.seconds, 3)
+            tile["peak_rss_bytes"] = outcome.peak_rss_bytes
+        elif not (outcome.again or outcome.damaged):
+            tile["state"] = "failed"
+
     def _place(self, task: Task) -> list[float] | None:
         """The hole that a task leaves: lowest x, y, highest x, y in units of the CRS; None where it has no place."""
         arguments, lattice = task.arguments, self.plan.meta.bucket
@@ -183,9 +207,21 @@ class Job:
         content = {
             "state": state, "version": __version__, "configuration": self.plan.config.to_json(),
             "plan": plan_json(self.plan), "libraries": {name: version(name) for name in LIBRARIES},
+            "written": datetime.now(UTC).isoformat(timespec="seconds"), "notes": self.notes,
+            "tiles": {s: [{"key": k, **t} for k, t in ts.items()] for s, ts in self.tiles.items()},
             "stages": self.stages, "quarantined": self.quarantined, "failed_tasks": self.failed,
             "peak_rss_bytes": max([peak_rss_bytes(), *(s["peak_rss_bytes"] for s in self.stages.values())]),
             **self.facts,
         }  # fmt: skip
         write_run_file(self.out, content)
         return content
+
+
+def _tile_facts(task: Task, bounds: list[float] | None, done: Commits) -> dict[str, Any]:
+    """A tile before its stage begins; one that an earlier run did has the time in that run's events alone."""
+    made = _made(done[task.key][1]) if task.key in done else {"state": "waiting", "tries": 0, "marked": 0}
+    return {"bounds": bounds, "points": task.points, **made, "seconds": None, "peak_rss_bytes": None}
+
+
+def _made(record: dict[str, Any]) -> dict[str, Any]:
+    return {"state": "done", "tries": record.get("tries", 1), "marked": record.get("marked", 0)}

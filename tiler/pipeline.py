@@ -26,6 +26,8 @@ from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
 from tiler.plan import KEEP, Plan, crs_name, make_plan, refuse, remember
 from tiler.rasters import export, grid
+from tiler.report.html import NAME as REPORT
+from tiler.report.html import write_report
 from tiler.schedule import Task
 from tiler.store import BucketInfo, Lease, TileStore, create_store, open_store, remove_store, store_exists
 from tiler.tasks import (
@@ -112,9 +114,24 @@ def _locked_run(
             job.executor.close()
     job.facts["seconds"] = round(time.monotonic() - started, 3)
     remember(plan, job.stages)
-    summary = job.save("done")
+    summary = _report(job)
     listener("run_finished", {"seconds": job.facts["seconds"]})
     return RunResult(5 if job.quarantined or job.failed else 0, summary, job.computed == 0)
+
+
+def _report(job: Job) -> dict[str, Any]:
+    """Save run.json, and draw it for people; what it says. A report that fails leaves a finished run finished."""
+    job.facts["report"] = REPORT
+    summary = job.save("done")
+    try:
+        write_report(job.out, summary)
+    except Exception as error:  # noqa: BLE001 - whatever it is: the results are there
+        text = f"{REPORT} could not be drawn: {error}; `tiler report {job.out}` tries again"
+        job.listener("warning", {"text": text})
+        job.notes.append(text)
+        job.facts["report"] = None
+        summary = job.save("done")
+    return summary
 
 
 def _healing_stages(job: Job, until: str) -> None:

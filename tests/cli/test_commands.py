@@ -12,7 +12,7 @@ import pytest
 from cli.commands.methods import range_text
 from cli.main import main
 from cli.output import fact_lines
-from cli.summary import score_lines, size_text, summary_lines
+from cli.summary import score_lines, summary_lines
 from tiler.config import RunConfig
 
 SUMMARY: dict[str, Any] = {
@@ -257,11 +257,6 @@ def test_facts_are_aligned_and_nested() -> None:
         "has rgb     no",
         "notes       none",
     ]
-
-
-@pytest.mark.parametrize(("size", "text"), [(10, "10 bytes"), (1536, "1.5 KiB"), (3 << 30, "3.0 GiB")])
-def test_sizes(size: int, text: str) -> None:
-    assert size_text(size) == text
 
 
 def test_simulate_writes_a_scene_and_says_what_it_holds(

@@ -32,6 +32,7 @@ def test_it_succeeds_and_leaves_what_it_says(finished_run: Finished, demo: DemoS
         "store.zarr",
         "run.json",
         "events.jsonl",
+        "report.html",
     }
     assert not list(out.rglob("*.partial*"))
     assert not (out / "store.zarr" / "lock.json").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +17,32 @@ from tiler.export.geotiff import raster_errors
 
 def png_bytes(rgba: npt.NDArray[np.uint8]) -> bytes:
     """A picture, uint8 of shape (height, width, 4): red, green, blue, opacity, as the bytes of a PNG."""
-    height, width, bands = rgba.shape
-    profile = {"driver": "PNG", "height": height, "width": width, "count": bands, "dtype": "uint8"}
+    return _encoded(np.moveaxis(rgba, -1, 0), None)
+
+
+def palette_png_bytes(values: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int]]) -> bytes:
+    """A picture of few colours, as the bytes of a PNG with a palette.
+
+    Parameters
+    ----------
+    values : uint8, shape (height, width)
+        0 is transparent.
+    colours : mapping of int to (red, green, blue)
+    """
+    table = {value: (*colour, 255) for value, colour in colours.items()}
+    return _encoded(values[None], {**table, 0: (0, 0, 0, 0)})
+
+
+def _encoded(bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int, int]] | None) -> bytes:
+    count, height, width = bands.shape
+    profile = {"driver": "PNG", "height": height, "width": width, "count": count, "dtype": "uint8"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with MemoryFile() as memory:
             with memory.open(**profile) as picture:
-                picture.write(np.moveaxis(rgba, -1, 0))
+                picture.write(bands)
+                if colours is not None:
+                    picture.write_colormap(1, colours)
             return bytes(memory.read())
 
 

@@ -11,6 +11,8 @@ _OWN_LOGGERS = ("tiler", "ptd", "cli")
 
 def printable(text: str) -> str:
     """The text in one line that no file name can break, colour or move: what is not printable is written as escapes."""
+    if text.isprintable():
+        return text
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 

@@ -29,6 +29,14 @@ def count_text(count: float) -> str:
     return f"{count:.0f}"
 
 
+def size_text(size: float) -> str:
+    """A number of bytes: ``812.0 MiB``."""
+    for factor, unit in ((1 << 30, "GiB"), (1 << 20, "MiB"), (1 << 10, "KiB")):
+        if size >= factor:
+            return f"{size / factor:.1f} {unit}"
+    return f"{size:.0f} bytes"
+
+
 def duration_text(seconds: float) -> str:
     """A duration in a few letters: ``4.2 s``, ``3:25``, ``1:02:07``."""
     if seconds < 60:

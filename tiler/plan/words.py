@@ -20,6 +20,8 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "inputs": len(plan.sources), "unreadable": [list(u) for u in plan.unreadable], "points": plan.points,
         "area_m2": plan.area_m2, "density_per_m2": plan.density, "crs": frame.crs_wkt,
         "units": {"horizontal": unit_label(frame.units.horizontal), "vertical": unit_label(frame.units.vertical)},
+        "metres_per_unit": {"horizontal": float(frame.units.horizontal), "vertical": float(frame.units.vertical)},
+        "extent": [v / COUNTS_PER_UNIT for v in plan.extent.to_json()],
         "method": plan.config.method, "parameters": plan.parameters, "passes": len(plan.passes),
         "halos_m": {step.name: step.halo_m for step in plan.passes},
         "resolution_m": float(plan.resolution), "tile_m": float(plan.tile), "bucket_m": plan.bucket_m,

@@ -15,6 +15,7 @@ from tiler.observe.progress import (
     open_progress,
     plain_progress,
     rate_text,
+    size_text,
 )
 
 
@@ -132,3 +133,8 @@ def test_combined_listeners_hear_everything_in_order() -> None:
     listen("note", {})
     listen("warning", {})
     assert heard == [(1, "note"), (2, "note"), (1, "warning"), (2, "warning")]
+
+
+@pytest.mark.parametrize(("size", "text"), [(10, "10 bytes"), (1536, "1.5 KiB"), (3 << 30, "3.0 GiB")])
+def test_sizes(size: int, text: str) -> None:
+    assert size_text(size) == text

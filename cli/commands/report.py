@@ -1,0 +1,24 @@
+"""``tiler report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from cli.session import TilerCommand
+
+
+@click.command("report", cls=TilerCommand)
+@click.argument("out", metavar="OUT", type=click.Path(path_type=Path))
+def command(out: Path) -> None:
+    """Draw OUT/report.html again, with what was measured since.
+
+    Every run draws it. Do so again after an interruption, and after measuring: the report shows what OUT/check.json
+    and OUT/evaluate.json hold (`tiler check ... --json > OUT/check.json`, `tiler evaluate ... --json >
+    OUT/evaluate.json`). One file, which loads nothing: send it, or print it.
+    """
+    from tiler.observe.logs import printable
+    from tiler.report.html import write_report
+
+    click.echo(printable(str(write_report(out))))

@@ -1,0 +1,176 @@
+"""The report says what run.json says, whatever files are called, however many tiles there are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from base64 import b64encode
+from pathlib import Path
+
+import pytest
+
+from tests.tiler.report import results
+from tiler.errors import InputError, ProcessingError
+from tiler.report.html import write_report
+
+
+def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "town", results.run())
+    page = results.read(write_report(out))
+    assert "Terrain of town" in page.texts[""]
+    assert "4,000 points of 2 files" in page.texts[""]
+    for figure in ("4.0 k", "50.0%", "60 x 40", "1:15", "300.0 MiB", "Nothing was left out"):
+        assert figure in page.texts[""]
+    told = {
+        "problems": ["heights span 9,876 m"],
+        "decisions": ["heights are taken as foot", "200 points dropped: withheld", "slope_deg 12.5",
+                      "tile size 30 m you",
+                      "halo 104 m automatic the method's own reach", "WGS 84 / UTM zone 32N"],
+        "counts": ["read 4,000", "stored 3,800", "dropped: withheld 200", "ground 1,900", "low noise 10"],
+        "inputs": ["/data/a.laz", "/data/b.laz", "LAS 1.4, format 6", "4.0 KiB"],
+        "outputs": ["dtm.tif 4.0 KiB"],
+        "timings": ["ground filter 4 4 1:01", "200.0 MiB", "t+001+001", "projected for a worker 500.0 MiB"],
+        "settings": ["max_building_size_m 20", "label_pass yes", "numpy 2.3.4", "tiler 0.1.0"],
+        "accuracy": ["Nothing was measured yet"],
+    }  # fmt: skip
+    for name, texts in told.items():
+        for text in texts:
+            assert text in page.texts[name], name
+
+
+def test_it_loads_nothing_and_runs_its_own_script_alone(tmp_path: Path) -> None:
+    text = write_report(results.write(tmp_path / "out", results.run())).read_text("utf-8")
+    page = results.read(tmp_path / "out" / "report.html")
+    for tag, name, value in page.attributes:
+        if name in ("src", "href", "action", "srcset"):
+            assert value.startswith(("data:image/png;base64,", "#")) or (tag, value) == ("a", "dtm.tif")
+        assert not name.startswith("on")
+        assert name != "style"
+    policy = next(value for tag, _, value in page.attributes if tag == "meta" and "default-src" in value)
+    assert policy.startswith("default-src 'none'; img-src data:;")
+    script = text.rsplit("<script>", 1)[1].split("</script>")[0]
+    assert f"script-src 'sha256-{b64encode(hashlib.sha256(script.encode()).digest()).decode()}'" in policy
+    assert "http://" not in text
+    assert "https://" not in text
+    ids = [value for _, name, value in page.attributes if name == "id"]
+    assert len(ids) == len(set(ids))
+    for _, name, value in page.attributes:
+        assert name != "href" or not value.startswith("#") or value[1:] in ids
+        assert name != "aria-labelledby" or value in ids
+
+
+def test_names_of_files_cannot_become_markup(tmp_path: Path) -> None:
+    name = results.HOSTILE
+    plain = results.read(
+        write_report(results.write(tmp_path / "plain", results.run(inputs=[results.source("a.laz")] * 2)))
+    )
+    content = results.run(
+        inputs=[results.source(name), results.source("b.laz", notes=[name])],
+        quarantined=[{"path": name, "error": f"{name}: cut short"}],
+        failed_tasks=[{"stage": "filter0", "key": "t+000+000", "error": name, "bounds": None}],
+        outputs={"dtm.tif": 1, f"classified/{name}": 1},
+    )
+    content["tiles"]["filter0"][0]["state"] = "failed"
+    page = results.read(write_report(results.write(tmp_path / "out", content)))
+    escaped = name.replace("\x1b", "\\x1b").replace("\udc80", "\\udc80").replace("\u202e", "\\u202e")
+    for part in ("problems", "inputs", "outputs"):
+        assert escaped in page.texts[part]
+    for tag in ("img", "script", "style", "html", "body"):
+        assert page.tags.count(tag) == plain.tags.count(tag)
+    assert name in json.dumps(page.data, ensure_ascii=False).replace('\\"', '"').replace("\\u001b", "\x1b")
+    (link,) = [v for tag, n, v in page.attributes if (tag, n) == ("a", "href") and v.startswith("classified")]
+    assert link.startswith("classified/%3C/script%3E%3Cimg")
+
+
+def test_what_was_left_out_comes_first(tmp_path: Path) -> None:
+    content = results.run(
+        quarantined=[{"path": "cut.laz", "error": "cut.laz: cut short"}],
+        failed_tasks=[
+            {"stage": "filter0", "key": "t+001+001", "error": "no memory", "bounds": [1, 2, 3, 4.5]}
+        ],
+    )
+    page = results.read(write_report(results.write(tmp_path / "out", content)))
+    assert "Finished, with something left out" in page.texts[""]
+    assert "Left out: 1 file and 1 task; see Problems." in page.texts[""]
+    assert next(iter(page.texts)) == ""
+    assert list(page.texts)[1] == "problems"
+    assert "Files left out: 1 file why cut.laz cut short" in page.texts["problems"]
+    assert "filter0 t+001+001 1.0, 2.0, 3.0, 4.5 no memory" in page.texts["problems"]
+
+
+def test_a_thousand_tiles_and_large_rasters_stay_below_five_megabytes(tmp_path: Path) -> None:
+    content = results.run(
+        tiles={
+            s: [results.tile(i, 40, 50.0) for i in range(1000)] for s in ("filter0", "grid-dtm", "grid-mask")
+        },
+        inputs=[results.source(f"{'long' * 40}{i}.laz") for i in range(3000)],
+        outputs=dict.fromkeys(("dtm.tif", "mask.tif", "density.tif"), 1),
+    )
+    out = results.write(tmp_path / "out", content, 1500, 1500)
+    path = write_report(out)
+    assert path.stat().st_size < 5e6
+    page = results.read(path)
+    assert [len(stage["tiles"]) for stage in page.data["stages"]] == [1000, 1000, 1000]
+    assert "2,000 more are in run.json" in page.texts["inputs"]
+
+
+def test_a_run_without_rasters_has_a_map_of_its_plan(tmp_path: Path) -> None:
+    content = results.run(state="interrupted", outputs={})
+    for name in ("dtm", "filter", "counts", "inputs", "seconds", "tiles", "statistics", "notes"):
+        content.pop(name)
+    page = results.read(write_report(results.write(tmp_path / "out", content)))
+    assert "Interrupted" in page.texts[""]
+    assert "No terrain model was written yet" in page.texts["map"]
+    assert page.data["extent"] == content["plan"]["extent"]
+    assert "img" not in page.tags
+
+
+def test_measured_accuracy_is_shown(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "out", results.run())
+    (out / "evaluate.json").write_text(
+        json.dumps(
+            {
+                "type_1": 0.0123,
+                "type_2": None,
+                "total": 0.01,
+                "kappa": 0.975,
+                "points": 3790,
+                "dtm": {"unit": "metre", "rmse": 0.1234, "bias": -0.01, "pixels": 1200},
+            }
+        )
+    )
+    text = results.read(write_report(out)).texts["accuracy"]
+    for figure in ("1.23 %", "1.00 % of 3,790 points", "97.50 %", "RMSE 0.123 metre", "mean -0.010 metre"):
+        assert figure in text
+    assert "Nothing was measured" not in text
+    (out / "check.json").write_text("[")
+    assert "check.json: Expecting value" in results.read(write_report(out)).texts["accuracy"]
+
+
+def test_measurements_of_an_earlier_dtm_are_told_from_those_of_this_one(tmp_path: Path) -> None:
+    out = results.write(tmp_path / "out", results.run())
+    (out / "check.json").write_text(
+        json.dumps({"seams": {"unit": "metre", "interior": {"pairs": 7, "mean_step": 0.1}}})
+    )
+    assert "interior 7 0.1000" in results.read(write_report(out)).texts["accuracy"]
+    os.utime(out / "check.json", (1, 1))
+    assert "check.json is older than the DTM" in results.read(write_report(out)).texts["accuracy"]
+
+
+def test_refusals(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"run\.json: cannot be read \(No such file or directory\); name the OUT"
+    ):
+        write_report(tmp_path)
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(InputError, match="not valid JSON"):
+        write_report(tmp_path)
+    (tmp_path / "run.json").write_text('{"state": "done"}')
+    with pytest.raises(InputError, match=r"not what this version of tiler writes \(KeyError: 'plan'\)"):
+        write_report(tmp_path)
+    out = results.write(tmp_path / "out", results.run())
+    (out / "dtm.tif").write_bytes(b"no raster")
+    with pytest.raises(ProcessingError, match="a raster cannot be read"):
+        write_report(out)
+    assert not list(out.glob("report*"))

@@ -1,0 +1,139 @@
+"""How good the result is, where someone measured it: what `tiler check` and `tiler evaluate` found, as JSON in OUT."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tiler.errors import refused_write
+from tiler.report.document import Content, Node, el, facts, table
+
+CHECK, EVALUATION = "check.json", "evaluate.json"
+"""Names in OUT under which ``--json`` of `tiler check` and `tiler evaluate` are looked for."""
+
+FIGURES = {"points": "points", "rmse_v": "RMSE", "bias": "mean", "median": "median", "nmad": "NMAD",
+           "p95_abs": "95 % within", "max_abs": "largest", "outliers": "outliers"}  # fmt: skip
+
+HOW = (
+    "Nothing was measured yet. With checkpoints: tiler check OUT/dtm.tif --points FILE --json > OUT/check.json; "
+    "with true classes: tiler evaluate CLOUD --reference REF --json > OUT/evaluate.json; then tiler report OUT."
+)
+
+
+def read_measured(out: Path, name: str) -> dict[str, Any]:
+    """The content of a file of ``OUT``; empty where there is none, ``unreadable`` where it is no JSON object."""
+    path = out / name
+    if not path.is_file():
+        return {}
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        return {"unreadable": f"{name}: {error}"}
+    if not isinstance(found, dict):
+        return {"unreadable": f"{name}: holds no object"}
+    dtms = [p for p in (out / "dtm.tif", out / "dtm.vrt") if p.is_file()]
+    older = bool(dtms) and path.stat().st_mtime < max(p.stat().st_mtime for p in dtms)
+    return {**found, "older": older}
+
+
+def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
+    """Leave what was measured where `read_measured` finds it; raises ProcessingError."""
+    try:
+        (out / name).write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise refused_write(str(out / name), error, out) from error
+
+
+def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) -> list[Content]:
+    """Tables of what was measured; where nothing was, how to."""
+    found: list[Content] = []
+    for name, measured in ((CHECK, check), (EVALUATION, evaluation)):
+        if "unreadable" in measured:
+            found.append(el("p", measured["unreadable"], class_="warning"))
+        elif measured.get("older"):
+            found.append(
+                el("p", f"{name} is older than the DTM: it may be of another one.", class_="warning")
+            )
+    if check.get("accuracy"):
+        found += _checkpoints(check["accuracy"])
+    if check.get("seams"):
+        found.append(_seams(check["seams"]))
+    if check.get("requirements"):
+        found.append(_requirements(check["requirements"]))
+    if "total" in evaluation:
+        found.append(_classes(evaluation))
+    if evaluation.get("dtm"):
+        found.append(_true_dtm(evaluation["dtm"]))
+    return found or [el("p", HOW)]
+
+
+def _number(value: Any, digits: int = 3) -> str:
+    if value is None:
+        return "-"
+    return f"{value:,}" if isinstance(value, int) else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.2f} %"
+
+
+def _checkpoints(found: Mapping[str, Any]) -> list[Content]:
+    groups = {name.upper(): found[name] for name in ("nva", "vva", "all") if found[name]["points"]}
+    groups |= found["land_cover"]
+    rows = [(name, *(_number(values[key]) for key in FIGURES)) for name, values in groups.items()]
+    asprs = found["asprs"]
+    statement = asprs["statement"] or (
+        f"No statement by the ASPRS standards: {found['nva']['points']} NVA checkpoints, "
+        f"{asprs['least_points']} are needed."
+    )
+    return [
+        el("h3", f"Checkpoints: DTM minus checkpoint, {found['unit']}"),
+        table(("", *FIGURES.values()), rows, range(1, len(FIGURES) + 1)),
+        el("p", statement),
+        *(el("p", note, class_="quiet") for note in found["notes"]),
+    ]
+
+
+def _seams(found: Mapping[str, Any]) -> Node:
+    keys = {"pairs": "pairs", "mean_step": "mean step", "largest_step": "largest step"}
+    rows = [
+        (name, *(_number(found[name].get(key), 4) for key in keys))
+        for name in ("interior", "tiles", "blocks")
+        if name in found
+    ]
+    heading = el("h3", f"Steps between pixels across the edges of tiles, {found['unit']}")
+    return el("div", heading, table(("pixels across", *keys.values()), rows, (1, 2, 3)))
+
+
+def _requirements(found: list[Mapping[str, Any]]) -> Node:
+    rows = [
+        (r["name"], f"{r['limit']:g}", _number(r["value"], 4), el("strong", "met" if r["met"] else "NOT met"))
+        for r in found
+    ]
+    return el("div", el("h3", "Required"), table(("figure", "limit", "measured", ""), rows, (1, 2)))
+
+
+def _classes(found: Mapping[str, Any]) -> Node:
+    return el(
+        "div",
+        el("h3", "Classes against the truth"),
+        facts({
+            "type I, ground lost": _percent(found["type_1"]),
+            "type II, objects taken for ground": _percent(found["type_2"]),
+            "total error": f"{_percent(found['total'])} of {found['points']:,} points",
+            "Cohen's kappa": _percent(found["kappa"]),
+        }),
+    )  # fmt: skip
+
+
+def _true_dtm(found: Mapping[str, Any]) -> Node:
+    unit = found["unit"]
+    keys = {"rmse": "RMSE", "bias": "mean", "median": "median", "nmad": "NMAD", "p95_abs": "95 % within"}
+    pairs: dict[str, Content] = {
+        text: f"{_number(found[key])} {unit}" for key, text in keys.items() if found.get(key) is not None
+    }
+    return el(
+        "div", el("h3", "DTM against the true one"), facts({**pairs, "pixels": _number(found["pixels"])})
+    )

@@ -1,0 +1,112 @@
+"""One HTML file that needs nothing else: elements, and the page around them.
+
+Elements are those of `xml.etree.ElementTree`, whose serializer escapes every text and attribute, so that no file name
+and no message can become markup. A content security policy lets the page load nothing, and run no script but its own.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import Any
+from xml.etree import ElementTree
+
+from tiler.observe.logs import printable
+
+Node = ElementTree.Element
+Content = Node | str | None
+
+
+def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
+    """An element; None among the children is left out, ``class_`` is ``class``, ``data_x`` is ``data-x``."""
+    names = {name.rstrip("_").replace("_", "-"): printable(str(value)) for name, value in attributes.items()}
+    node = Node(tag, names)
+    for child in children:
+        if isinstance(child, Node):
+            node.append(child)
+        elif child is not None and len(node):
+            node[-1].tail = (node[-1].tail or "") + printable(child)
+        elif child is not None:
+            node.text = (node.text or "") + printable(child)
+    return node
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[Content]], numbers: Sequence[int] = ()) -> Node:
+    """A table in a box that scrolls where it is too wide; ``numbers`` are the columns that are aligned right."""
+    classes = [{"class_": "number"} if i in numbers else {} for i in range(len(headings))]
+    head = el("tr", *(el("th", h, scope="col", **c) for h, c in zip(headings, classes, strict=True)))
+    body = [el("tr", *(el("td", cell, **c) for cell, c in zip(row, classes, strict=True))) for row in rows]
+    return el("div", el("table", el("thead", head), el("tbody", *body)), class_="wide", tabindex=0)
+
+
+def facts(pairs: Mapping[str, Content]) -> Node:
+    """Names and values; what is None is left out."""
+    shown = [(name, value) for name, value in pairs.items() if value is not None]
+    return el("dl", *(node for name, value in shown for node in (el("dt", name), el("dd", value))))
+
+
+def section(name: str, title: str, *children: Content) -> Node:
+    """A part of the page that its list of contents leads to."""
+    return el(
+        "section", el("h2", title, id=f"{name}-title"), *children, id=name, aria_labelledby=f"{name}-title"
+    )
+
+
+def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, Any]) -> bytes:
+    """The whole file.
+
+    Parameters
+    ----------
+    title : str
+    header : Element
+    sections : sequence of Element
+        As `section` makes them.
+    data : mapping
+        What the page's script draws, as JSON.
+
+    Returns
+    -------
+    bytes
+        UTF-8.
+    """
+    assets = files("tiler.report")
+    style = (assets / "page.css").read_text("utf-8")
+    script = (assets / "page.js").read_text("utf-8")
+    policy = (
+        f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; script-src '{_digest(script)}'; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    contents = el("nav", *(_link(part) for part in sections), aria_label="Contents")
+    # Inside of a script element nothing is unescaped: no "<" may stand there.
+    embedded = Node("script", {"type": "application/json", "id": "data"})
+    embedded.text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    code, look = Node("script"), Node("style")
+    code.text, look.text = script, style
+    root = el(
+        "html",
+        el(
+            "head",
+            el("meta", charset="utf-8"),
+            el("meta", http_equiv="Content-Security-Policy", content=policy),
+            el("meta", name="viewport", content="width=device-width, initial-scale=1"),
+            el("meta", name="color-scheme", content="light dark"),
+            el("meta", name="referrer", content="no-referrer"),
+            el("title", title),
+            look,
+        ),
+        el("body", header, contents, el("main", *sections), embedded, code),
+        lang="en",
+    )
+    markup: bytes = ElementTree.tostring(root, encoding="utf-8", method="html")
+    return b"<!DOCTYPE html>\n" + markup + b"\n"
+
+
+def _link(part: Node) -> Node:
+    return el("a", part[0].text, href=f"#{part.get('id')}")
+
+
+def _digest(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")

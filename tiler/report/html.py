@@ -1,0 +1,118 @@
+"""``report.html``: a finished or interrupted run as one page that needs no server, no network and no other file."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from rasterio.errors import RasterioError
+
+from tiler.core.products import PRODUCTS
+from tiler.errors import InputError, ProcessingError, refused_write
+from tiler.report import accuracy, document, sections, tables
+from tiler.report.document import Node, el, section
+from tiler.report.mapdata import map_data, with_earlier_times
+from tiler.report.pictures import draw
+
+NAME = "report.html"
+
+
+def write_report(out: Path, run: Mapping[str, Any] | None = None) -> Path:
+    """Write ``OUT/report.html``; it appears when it is whole.
+
+    Parameters
+    ----------
+    out : Path
+        The result folder of a run.
+    run : mapping, optional
+        The content of its run.json, which is read if it is not given.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        ``out`` holds no run.json, or one that tiler did not write.
+    ProcessingError
+        A raster cannot be read, or the report cannot be written.
+    """
+    content = _read_run(out) if run is None else run
+    try:
+        page = _page(out, content)
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(
+            f"{out / 'run.json'}: not what this version of tiler writes ({type(error).__name__}: {error}); run again"
+        ) from error
+    except RasterioError as error:
+        raise ProcessingError(
+            f"{out}: a raster cannot be read ({' '.join(str(error).split())}); run again"
+        ) from error
+    target = out / NAME
+    partial = out / f"{NAME}.partial"
+    try:
+        with open(partial, "wb") as stream:
+            stream.write(page)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(partial, target)
+    except OSError as error:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise refused_write(str(target), error, out) from error
+    return target
+
+
+def _read_run(out: Path) -> dict[str, Any]:
+    path = out / "run.json"
+    try:
+        return dict(json.loads(path.read_text("utf-8")))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); name the OUT folder of a run"
+        ) from error
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{path}: not valid JSON ({error}); run the same command again") from error
+
+
+def _page(out: Path, run: Mapping[str, Any]) -> bytes:
+    run = with_earlier_times(run, out)
+    pictures = draw(_rasters(out, run), run)
+    check = accuracy.read_measured(out, accuracy.CHECK)
+    evaluation = accuracy.read_measured(out, accuracy.EVALUATION)
+    title = f"Terrain of {out.resolve().name}"
+    parts = [
+        sections.problems(run),
+        sections.terrain_map(pictures),
+        section("accuracy", "Accuracy", *accuracy.accuracy_content(check, evaluation)),
+        sections.decisions(run),
+        tables.counts(run),
+        tables.outputs(run),
+        tables.inputs(run),
+        tables.timings(run),
+        tables.settings(run),
+        _colophon(run),
+    ]
+    return document.page(title, sections.header(run, title), parts, map_data(run, pictures, check))
+
+
+def _rasters(out: Path, run: Mapping[str, Any]) -> dict[str, Path]:
+    """Product -> file that this run wrote: one raster, or the VRT over its sheets."""
+    written = run.get("outputs", {})
+    return {
+        product: out / f"{product}.{kind}"
+        for product in PRODUCTS
+        for kind in ("vrt", "tif")
+        if f"{product}.{kind}" in written and (out / f"{product}.{kind}").is_file()
+    }
+
+
+def _colophon(run: Mapping[str, Any]) -> Node:
+    text = f"Made by tiler {run['version']} from run.json, written {run.get('written', 'at an unknown time')} (UTC)."
+    return section("about", "About this page", el("p", text), el("p", "It loads nothing and sends nothing."))

@@ -1,0 +1,132 @@
+"""What the page's map draws over the pictures: tiles with state and time, outlines of files, checkpoints."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
+
+MOST_TILES = 20_000
+"""On the map, of all stages together: a page of 5 MB holds no more. Stages that do not fit are left out whole."""
+
+MOST_FILES = 5_000
+TIME_COLOURS = 16
+
+EVENTS = "events.jsonl"
+
+Extent = tuple[float, float, float, float]
+
+
+def with_earlier_times(run: Mapping[str, Any], out: Path) -> dict[str, Any]:
+    """The same, and the tiles that an earlier run did have their time and memory, from its events.
+
+    The last time that a task was done is that of the result which now holds: whatever is done anew is told anew.
+    """
+    tiles = {stage: [dict(tile) for tile in of_stage] for stage, of_stage in run.get("tiles", {}).items()}
+    unknown: dict[tuple[str, str], dict[str, Any]] = {
+        (stage, tile["key"]): tile
+        for stage, of_stage in tiles.items()
+        for tile in of_stage
+        if tile["state"] == "done" and tile["seconds"] is None
+    }
+    for event in _events(out / EVENTS) if unknown else ():
+        if event.get("event") == "task_done":
+            tile = unknown.get((event["stage"], event["key"]))
+            if tile is not None:
+                tile.update(seconds=event["seconds"], peak_rss_bytes=event["peak_rss_bytes"])
+    return {**run, "tiles": tiles}
+
+
+def _events(path: Path) -> Iterator[dict[str, Any]]:
+    """Events of a log; a line that a killed run left unfinished is passed over."""
+    if not path.is_file():
+        return
+    with open(path, encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            try:
+                yield dict(json.loads(line))
+            except ValueError:
+                continue
+
+
+def map_data(
+    run: Mapping[str, Any], pictures: Pictures | None, accuracy: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What page.js reads; coordinates in units of the CRS.
+
+    Parameters
+    ----------
+    run : mapping
+        The content of run.json, with the times of `with_earlier_times`.
+    pictures : Pictures or None
+    accuracy : mapping
+        A check as `tiler.check` gives it, under ``accuracy`` what it found at checkpoints; may be empty.
+    """
+    checked = accuracy.get("accuracy") or {}
+    return {
+        "extent": pictures.extent if pictures else _extent(run),
+        "unit": run["plan"].get("units", {}).get("horizontal", ""),
+        "pictures": [
+            {"name": p.name, "title": p.title, "legend": [[_css(c), text] for c, text in p.legend]}
+            for p in (pictures.pictures if pictures else ())
+        ],
+        "stages": _stages(run),
+        "files": _files(run),
+        "checkpoints": [
+            [p["name"], p["x"], p["y"], p["difference"], p["outlier"]] for p in checked.get("differences", ())
+        ],
+        "checkpoint_unit": checked.get("unit", ""),
+        "checkpoint_range": (checked.get("all") or {}).get("p95_abs") or 1.0,
+        "time_colours": [_css(ramp_colour(VIRIDIS, i / (TIME_COLOURS - 1))) for i in range(TIME_COLOURS)],
+    }
+
+
+def _css(colour: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def _extent(run: Mapping[str, Any]) -> Extent:
+    """Where there is no raster: the bounds of what was planned."""
+    west, south, east, north = run["plan"].get("extent") or (0.0, 0.0, 1.0, 1.0)
+    return west, south, east, north
+
+
+def stage_title(stage: str, passes: int = 1) -> str:
+    """A stage as people read it."""
+    if stage.startswith("filter"):
+        return "ground filter" if passes == 1 else f"ground filter, pass {int(stage[6:]) + 1}"
+    named = {
+        "spool": "reading",
+        "assemble": "sorting into the store",
+        "export": "writing files",
+        "mosaic": "writing VRTs",
+    }
+    return f"raster {stage[5:]}" if stage.startswith("grid-") else named.get(stage, stage)
+
+
+def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Stages of tiles, the filter's last pass first, since it made the labels."""
+    found, room = [], MOST_TILES
+    tiles = run.get("tiles", {})
+    passes = sum(name.startswith("filter") for name in tiles)
+    errors = {(f["stage"], f["key"]): f["error"] for f in run.get("failed_tasks", ())}
+    order = sorted(tiles, key=lambda name: (not name.startswith("filter"), name != "grid-dtm"))
+    for stage in [*reversed(order[:passes]), *order[passes:]]:
+        rows = [
+            [t["key"], *t["bounds"], t["state"], t["points"], t["seconds"], t["tries"], t["marked"],
+             errors.get((stage, t["key"]), "")]
+            for t in tiles[stage] if t["bounds"] is not None
+        ]  # fmt: skip
+        if rows and len(rows) <= room:
+            room -= len(rows)
+            found.append({"name": stage, "title": stage_title(stage, passes), "tiles": rows})
+    return found
+
+
+def _files(run: Mapping[str, Any]) -> list[list[Any]]:
+    """Name and bounds of the clouds that were read."""
+    inputs = [i for i in run.get("inputs", ()) if i.get("bounds")][:MOST_FILES]
+    return [[Path(i["path"]).name, *(i["bounds"][k] for k in (0, 1, 3, 4))] for i in inputs]

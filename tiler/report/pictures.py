@@ -1,0 +1,216 @@
+"""The rasters of a run as small pictures: decimated reads, whole-number shades, paletted PNGs of bounded size."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rasterio
+from rasterio.enums import Resampling
+
+from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
+from tiler.export.geotiff import CACHE_MB
+from tiler.export.picture import palette_png_bytes
+from tiler.grid.shape import multidirectional_hillshade
+
+LONGER_SIDE = 1600
+"""Pixels of a picture at most."""
+
+MOST_BYTES = 3 << 20
+"""Of all pictures as files; in the page they take a third more. Larger ones are made anew, smaller."""
+
+SHADES = 63
+"""Steps of a picture: more are not seen, and cost bytes."""
+
+CLIPPED_PERCENT = 0.5
+"""Of the pixels at either end that the colours do not tell apart, so that a spike does not take the whole range."""
+
+LEGEND_STEPS = 5
+
+Colour = tuple[int, int, int]
+UInt8s = npt.NDArray[np.uint8]
+Floats = npt.NDArray[np.float64]
+
+TERRAIN: tuple[Colour, ...] = (
+    (44, 110, 96), (126, 172, 108), (228, 216, 146), (198, 146, 94), (150, 96, 72), (246, 242, 238),
+)  # fmt: skip
+VIRIDIS: tuple[Colour, ...] = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
+"""Of matplotlib (CC0), at every quarter."""
+GREY: tuple[Colour, ...] = ((16, 16, 16), (255, 255, 255))
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One raster, ready for the page.
+
+    Attributes
+    ----------
+    name : str
+        Of the product.
+    title : str
+    uri : str
+        A PNG as data URI.
+    size : (int, int)
+        Width and height, pixels.
+    legend : tuple of (colour, str)
+    """
+
+    name: str
+    title: str
+    uri: str
+    size: tuple[int, int]
+    legend: tuple[tuple[Colour, str], ...]
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """All pictures of a run, on one extent.
+
+    Attributes
+    ----------
+    extent : tuple of float
+        West, south, east, north in units of the CRS.
+    pictures : tuple of Picture
+    """
+
+    extent: tuple[float, float, float, float]
+    pictures: tuple[Picture, ...]
+
+
+@dataclass(frozen=True)
+class _Indexed:
+    """Values 0 (nothing there) to `SHADES`, their colours, and what these mean."""
+
+    title: str
+    values: UInt8s
+    colours: Mapping[int, Colour]
+    legend: tuple[tuple[Colour, str], ...]
+
+
+def draw(rasters: Mapping[str, Path], run: Mapping[str, Any]) -> Pictures | None:
+    """Pictures of the rasters that are there; None without a DTM.
+
+    Parameters
+    ----------
+    rasters : mapping of str to Path
+        Product -> file, a GeoTIFF or a VRT.
+    run : mapping
+        The content of run.json: its units make the slopes.
+
+    Raises
+    ------
+    rasterio.errors.RasterioError
+        A file cannot be read.
+    """
+    if "dtm" not in rasters:
+        return None
+    longer = LONGER_SIDE
+    while True:
+        found = _draw(rasters, run, longer)
+        taken = sum(len(picture.uri) * 3 // 4 for picture in found.pictures)
+        if taken <= MOST_BYTES:
+            return found
+        longer = min(int(longer * math.sqrt(MOST_BYTES / taken)), longer - 1)
+
+
+def _draw(rasters: Mapping[str, Path], run: Mapping[str, Any], longer: int) -> Pictures:
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
+        heights, extent = _read(rasters["dtm"], longer, Resampling.average)
+        made = {"hillshade": _hillshade(heights, extent, run), "dtm": _heights(heights, run)}
+        if "density" in rasters:
+            made["density"] = _density(_read(rasters["density"], longer, Resampling.average)[0])
+        if "mask" in rasters:
+            made["mask"] = _mask(_read(rasters["mask"], longer, Resampling.nearest)[0])
+    return Pictures(extent, tuple(_picture(name, indexed) for name, indexed in made.items()))
+
+
+def _picture(name: str, indexed: _Indexed) -> Picture:
+    height, width = indexed.values.shape
+    data = base64.b64encode(palette_png_bytes(indexed.values, indexed.colours)).decode("ascii")
+    return Picture(name, indexed.title, f"data:image/png;base64,{data}", (width, height), indexed.legend)
+
+
+def _read(
+    path: Path, longer: int, resampling: Resampling
+) -> tuple[Floats, tuple[float, float, float, float]]:
+    """Pixels, NaN where there is no data, from the overviews where they do; and the extent."""
+    with rasterio.open(path) as raster:
+        shrink = max(max(raster.shape) / longer, 1.0)
+        shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
+        values = raster.read(1, out_shape=shape, masked=True, resampling=resampling)
+        bounds = raster.bounds
+    found: Floats = values.astype(np.float64).filled(np.nan)
+    return found, (bounds.left, bounds.bottom, bounds.right, bounds.top)
+
+
+def _hillshade(heights: Floats, extent: tuple[float, ...], run: Mapping[str, Any]) -> _Indexed:
+    """Of the decimated heights: what is smaller than a pixel of the picture cannot be seen anyway."""
+    west, south, east, north = extent
+    metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
+    rows, columns = heights.shape
+    across = (east - west) / columns * metres["horizontal"]
+    down = (north - south) / rows * metres["horizontal"]
+    level = np.where(np.isfinite(heights), 0.0, np.nan)
+    to_south = np.gradient(heights, down, axis=0) * metres["vertical"] if rows > 1 else level
+    to_east = np.gradient(heights, across, axis=1) * metres["vertical"] if columns > 1 else level
+    shade = multidirectional_hillshade(to_east, -to_south)
+    low, high = _range(shade)
+    return _ramp("Hillshade", shade, min(low, 120.0), max(high, 200.0), GREY, None)
+
+
+def _heights(heights: Floats, run: Mapping[str, Any]) -> _Indexed:
+    unit = run["plan"].get("units", {}).get("vertical", "")
+    low, high = _range(heights)
+    places = 0 if high - low >= 50 else 1 if high - low >= 5 else 2
+    return _ramp("Terrain height", heights, low, high, TERRAIN, lambda v: f"{v:,.{places}f} {unit}")
+
+
+def _density(density: Floats) -> _Indexed:
+    """On a scale of logarithms: a clearing in a wood and an overlap of strips both show."""
+    found = np.log10(np.where(density > 0, density, np.nan))
+    low, high = _range(found)
+    return _ramp("Ground points per m2", found, low, high, VIRIDIS, lambda v: f"{10**v:.3g}")
+
+
+def _mask(mask: Floats) -> _Indexed:
+    product = PRODUCTS["mask"]
+    values = np.nan_to_num(mask, nan=OUTSIDE).astype(np.uint8)
+    legend = [(product.colours[v], text) for v, text in MASK_VALUES.items() if v != OUTSIDE]
+    return _Indexed("Where heights come from", values, product.colours, tuple(legend))
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    """What the colours span."""
+    there = values[np.isfinite(values)]
+    if there.size == 0:
+        return 0.0, 1.0
+    low, high = np.percentile(there, (CLIPPED_PERCENT, 100 - CLIPPED_PERCENT))
+    return float(low), float(high)
+
+
+def _ramp(
+    title: str, values: Floats, low: float, high: float, stops: tuple[Colour, ...],
+    text: Callable[[float], str] | None,
+) -> _Indexed:  # fmt: skip
+    share = np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0)
+    indexed = np.where(np.isfinite(share), 1 + np.rint(np.nan_to_num(share) * (SHADES - 1)), 0).astype(
+        np.uint8
+    )
+    colours = {i + 1: ramp_colour(stops, i / (SHADES - 1)) for i in range(SHADES)}
+    shares = [i / (LEGEND_STEPS - 1) for i in range(LEGEND_STEPS)]
+    legend = [(ramp_colour(stops, s), text(low + s * (high - low))) for s in shares] if text else []
+    return _Indexed(title, indexed, colours, tuple(legend))
+
+
+def ramp_colour(stops: tuple[Colour, ...], share: float) -> Colour:
+    """The colour at a share, 0 to 1, of a ramp with stops of equal distance."""
+    place = share * (len(stops) - 1)
+    i = min(int(place), len(stops) - 2)
+    red, green, blue = (round(a + (place - i) * (b - a)) for a, b in zip(stops[i], stops[i + 1], strict=True))
+    return red, green, blue

@@ -1,0 +1,215 @@
+"""The parts of the report that are text and tables, each from the content of run.json."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from tiler.observe.progress import count_text, duration_text, size_text
+from tiler.report.document import Content, Node, el, section, table
+from tiler.report.pictures import Pictures
+
+MOST_ROWS = 1000
+"""Of a table; the rest is in run.json."""
+
+SQUARE_KM = 1e6
+
+Run = Mapping[str, Any]
+
+STATES = {
+    "done": "Finished",
+    "running": "Still at work, or ended by force",
+    "interrupted": "Interrupted: the same command goes on where it was",
+}
+
+
+def header(run: Run, title: str) -> Node:
+    """The title, the state, what came out in a sentence, and the figures that most people look for."""
+    left_out = _left_out(run)
+    state = STATES.get(run["state"], run["state"])
+    if run["state"] == "done" and left_out:
+        state = "Finished, with something left out"
+    good = run["state"] == "done" and not left_out
+    cards = [el("div", el("b", value), el("span", name), class_="card") for name, value in _figures(run)]
+    return el(
+        "header",
+        el("p", state, class_="state good" if good else "state bad", id="state"),
+        el("h1", title),
+        el("p", _sentence(run, left_out), class_="lead"),
+        el("div", *cards, class_="cards"),
+    )
+
+
+def _left_out(run: Run) -> str:
+    """``1 file and 2 tiles``; empty where nothing is missing."""
+    files, tasks = len(run.get("quarantined", ())), len(run.get("failed_tasks", ()))
+    parts = [f"{n} {name}{'' if n == 1 else 's'}" for n, name in ((files, "file"), (tasks, "task")) if n]
+    return " and ".join(parts)
+
+
+def _sentence(run: Run, left_out: str) -> str:
+    plan, dtm = run["plan"], run.get("dtm")
+    what = (
+        f"A terrain model of {dtm['resolution_m']:g} m pixels"
+        if dtm
+        else "A run that made no terrain model yet"
+    )
+    seconds = f" in {duration_text(run['seconds'])}" if "seconds" in run and not done_before(run) else ""
+    missing = f" Left out: {left_out}; see Problems." if left_out else " Nothing was left out."
+    return (
+        f"{what} from {plan['points']:,} points of {plan['inputs']:,} files, "
+        f"{plan['area_m2'] / SQUARE_KM:,.3g} km2, by the method {plan['method']}{seconds}.{missing}"
+    )
+
+
+def _figures(run: Run) -> Iterator[tuple[str, str]]:
+    plan = run["plan"]
+    if "counts" in run:
+        yield "points read", count_text(run["counts"]["read"])
+    if "filter" in run and run["filter"]["points"]:
+        yield "of them ground", f"{run['filter']['ground'] / run['filter']['points']:.1%}"
+    yield "points per m2", f"{plan['density_per_m2']:.3g}"
+    if "dtm" in run:
+        dtm = run["dtm"]
+        yield f"pixels of {dtm['resolution_m']:g} m", f"{dtm['width']:,} x {dtm['height']:,}"
+        yield "of them with a height", f"{dtm['filled'] / max(dtm['width'] * dtm['height'], 1):.1%}"
+    if "seconds" in run:
+        yield "time of the last run" if done_before(run) else "time", duration_text(run["seconds"])
+    yield "peak memory of a process", size_text(run["peak_rss_bytes"])
+
+
+def done_before(run: Run) -> int:
+    """Tasks that an earlier run in the same OUT had done."""
+    return sum(stage["done"] for stage in run.get("stages", {}).values())
+
+
+def problems(run: Run) -> Node:
+    """What is missing or doubtful, and what to do; the first thing to read after the figures."""
+    content: list[Content] = []
+    for text in run["plan"].get("warnings", ()):
+        content.append(el("p", text, class_="warning"))
+    marked = run.get("filter", {}).get("marked", 0)
+    if marked:
+        text = f"{marked:,} labels are not certified: points beyond the widest halo could change them."
+        content.append(el("p", text, class_="warning"))
+    quarantined = run.get("quarantined", ())
+    if quarantined:
+        left = [(q["path"], q["error"].removeprefix(f"{q['path']}: ")) for q in quarantined[:MOST_ROWS]]
+        content += [el("h3", f"Files left out: {len(quarantined):,}"), table(("file", "why"), left)]
+    failed = run.get("failed_tasks", ())
+    if failed:
+        rows = [(f["stage"], f["key"], _place(f.get("bounds")), f["error"]) for f in failed[:MOST_ROWS]]
+        columns = ("stage", "tile or task", "west, south, east, north", "why")
+        content += [el("h3", f"Tasks that failed: {len(failed):,}"), table(columns, rows)]
+    if run.get("healed"):
+        content.append(
+            el("p", f"Objects of the store that were damaged, and made again: {', '.join(run['healed'])}")
+        )
+    strays = run.get("strays", ())
+    if strays:
+        far = [
+            (s["path"], f"{s['point']:,}", f"{s['x']:g}, {s['y']:g}, {s['z']:g}") for s in strays[:MOST_ROWS]
+        ]
+        content.append(el("h3", f"Points far from all others: {len(strays):,}"))
+        content.append(table(("file", "point", "x, y, z"), far, (1,)))
+    return section(
+        "problems", "Problems", *(content or [el("p", "None: every file was read and every tile was made.")])
+    )
+
+
+def _place(bounds: list[float] | None) -> str:
+    return ", ".join(f"{v:,.1f}" for v in bounds) if bounds else "-"
+
+
+def decisions(run: Run) -> Node:
+    """What was settled without being asked for, and why."""
+    plan, config = run["plan"], run["configuration"]
+    memory, declared = plan["memory_bytes"], "what the files declare"
+    units = " and ".join(dict.fromkeys(plan.get("units", {}).values()))
+    settled = {
+        "resolution": (config["resolution"], f"{plan['resolution_m']:g} m", "1 m, or the points' spacing if wider"),
+        "tile_size": (config["tile_size"], f"{plan['tile_m']:g} m", "what fits into a worker's memory"),
+        "halo": (config["halo"], f"{plan['halo_m']:g} m", "the method's own reach"),
+        "workers": (config["workers"], str(plan["workers"]), "the cores of the machine"),
+        "memory": (config["memory"], size_text(memory), "a fair share of the machine, 1 GiB at most"),
+        "units": (config["units"], units, declared),
+        "crs": (config["crs"], _crs_name(plan["crs"]), declared),
+    }  # fmt: skip
+    rows = [
+        (
+            name.replace("_", " "),
+            value,
+            "you" if given is not None else "automatic",
+            "" if given is not None else why,
+        )
+        for name, (given, value, why) in settled.items()
+    ]
+    notes = dict.fromkeys([*plan.get("notes", ()), *run.get("notes", ())])
+    told = [el("li", text) for text in list(notes)[:MOST_ROWS]]
+    found = {name: text for name, text in _flat("", run.get("statistics", {})) if not name.endswith("notes")}
+    content: list[Content] = [table(("setting", "value", "by", "why"), rows)]
+    if told:
+        content += [el("h3", "Noted on the way"), el("ul", *told)]
+    if found:
+        content += [
+            el("h3", "Measured over the whole run"),
+            table(("figure", "value"), list(found.items())[:MOST_ROWS]),
+        ]
+    return section("decisions", "Decided automatically", *content)
+
+
+def _crs_name(wkt: str | None) -> str:
+    """The name that a WKT begins with: ``PROJCRS["name", ...``."""
+    return "none" if wkt is None else wkt.split('"')[1] if wkt.count('"') > 1 else wkt
+
+
+def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Nested facts as names and texts; long lists by their length."""
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from _flat(f"{prefix} / {name}" if prefix else str(name), inner)
+    elif isinstance(value, list) and len(value) > 12:
+        yield prefix, f"{len(value):,} values"
+    else:
+        yield prefix, value_text(value)
+
+
+def value_text(value: Any) -> str:
+    """A plain value as people read it."""
+    if isinstance(value, list | tuple):
+        return ", ".join(value_text(v) for v in value) or "none"
+    if value is None or isinstance(value, bool):
+        return {None: "-", True: "yes", False: "no"}[value]
+    return (
+        f"{value:,}" if isinstance(value, int) else f"{value:.6g}" if isinstance(value, float) else str(value)
+    )
+
+
+def terrain_map(pictures: Pictures | None) -> Node:
+    """The map that the script draws, and each picture with its legend, for printing and where scripts are off."""
+    keys = "Drag or arrow keys: move. Wheel, + and -: zoom. 0: all. N and P: next and previous tile."
+    frame = el(
+        "div",
+        el("div", id="controls", class_="controls"),
+        el("canvas", id="canvas", tabindex=0, role="img", aria_label=f"Map of the terrain. {keys}"),
+        el("output", keys, id="told", aria_live="polite"),
+        el("div", id="legend", class_="legend"),
+        id="viewer",
+    )
+    figures = [
+        el(
+            "figure",
+            el("img", src=p.uri, alt=p.title, width=p.size[0], height=p.size[1], id=f"picture-{p.name}"),
+            el("figcaption", el("b", p.title), *(_swatch(colour, text) for colour, text in p.legend)),
+        )
+        for p in (pictures.pictures if pictures else ())
+    ]
+    missing = (
+        el("p", "No terrain model was written yet: the map shows files and tiles.") if not figures else None
+    )
+    return section("map", "Map", missing, frame, el("div", *figures, class_="gallery") if figures else None)
+
+
+def _swatch(colour: tuple[int, int, int], text: str) -> Node:
+    box = el("rect", width=12, height=12, fill="#{:02x}{:02x}{:02x}".format(*colour))
+    return el("span", el("svg", box, width=12, height=12, aria_hidden="true"), f" {text}", class_="swatch")

@@ -1,0 +1,172 @@
+"""The parts of the report that list: counts, files, timings, settings."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from urllib.parse import quote
+
+from tiler.observe.progress import duration_text, rate_text, size_text
+from tiler.report.document import Content, Node, el, facts, section, table
+from tiler.report.mapdata import stage_title
+from tiler.report.sections import MOST_ROWS, Run, done_before, value_text
+
+SLOWEST = 10
+
+
+def counts(run: Run) -> Node:
+    """Points: read = stored + dropped, and what became of them; and of the pixels."""
+    found = run.get("counts", {})
+    pairs: dict[str, Content] = {"read": _count(found.get("read")), "stored": _count(found.get("stored"))}
+    pairs |= {f"dropped: {reason}": _count(n) for reason, n in found.get("dropped", {}).items()}
+    names = {
+        "duplicates_within_files": "duplicates within files", "duplicates_between_files": "duplicates between files",
+        "kept_out": "kept out of the filter", "participating": "taking part in the filter",
+        "strays": "far from all others",
+    }  # fmt: skip
+    pairs |= {text: _count(found.get(name)) for name, text in names.items()}
+    labels = run.get("filter", {})
+    for name in ("ground", "unclassified", "low_noise", "kept", "marked"):
+        if name in labels:
+            text = {"kept": "class kept as it was", "marked": "label not certified"}.get(
+                name, name.replace("_", " ")
+            )
+            pairs[f"labelled: {text}"] = _count(labels[name])
+    pixels: dict[str, Content] = {text: _count(n) for text, n in run.get("mask", {}).items()}
+    content: list[Content] = [el("h3", "Points"), facts(pairs)]
+    if pixels:
+        content += [el("h3", "Pixels of the DTM"), facts(pixels)]
+    return section("counts", "Counts", *content)
+
+
+def _count(n: int | None) -> str | None:
+    return None if n is None else f"{n:,}"
+
+
+def inputs(run: Run) -> Node:
+    """The files that were read, and what was noticed about each."""
+    files = run.get("inputs", ())
+    warned = run["plan"].get("notes", ())
+    rows = [
+        (
+            f["path"], f"{f['points']:,}", f"{f['stored']:,}", f"LAS {f['version']}, format {f['point_format']}",
+            size_text(f["size"]), f["crs"] or "-", "; ".join([*f["notes"], *(["salvaged"] if f["salvaged"] else [])]),
+        )
+        for f in files[:MOST_ROWS]
+    ]  # fmt: skip
+    columns = ("file", "points", "stored", "format", "size", "CRS", "warnings")
+    more = f"{len(files) - MOST_ROWS:,} more are in run.json." if len(files) > MOST_ROWS else None
+    about = f"{len(files):,} files" + (
+        f", {len(warned)} notes: see Decided automatically." if warned else "."
+    )
+    return section(
+        "inputs",
+        "Input files",
+        el("p", about),
+        table(columns, rows, (1, 2, 4)),
+        el("p", more) if more else None,
+    )
+
+
+def outputs(run: Run) -> Node:
+    """The files that were written, with links that work beside them."""
+    found = run.get("outputs", {})
+    rows = [
+        (el("a", name, href=quote(os.fsencode(name))), size_text(size))
+        for name, size in list(found.items())[:MOST_ROWS]
+    ]
+    more = f"{len(found) - MOST_ROWS:,} more are in run.json." if len(found) > MOST_ROWS else None
+    body = table(("file", "size"), rows, (1,)) if rows else el("p", "None yet.")
+    return section("outputs", "Results", body, el("p", more) if more else None)
+
+
+def timings(run: Run) -> Node:
+    """Time and memory by stage, and the slowest tiles."""
+    stages = run.get("stages", {})
+    passes = sum(name.startswith("filter") for name in stages)
+    longest = max((s["seconds"] for s in stages.values()), default=0) or 1
+    rows = [
+        (
+            stage_title(name, passes), f"{s['tasks']:,}", f"{s['computed']:,}", duration_text(s["seconds"]),
+            _bar(s["seconds"] / longest), rate_text(s["points"], s["seconds"]) or "-",
+            size_text(s["peak_rss_bytes"]) if s["peak_rss_bytes"] else "-",
+        )
+        for name, s in sorted(stages.items(), key=lambda item: _order(item[0]))
+    ]  # fmt: skip
+    columns = ("stage", "tasks", "done now", "time", "", "rate", "peak memory")
+    plan = run["plan"]
+    projected = max(plan["projected_memory_bytes"].values(), default=0)
+    memory = facts({
+        "peak of a process": size_text(run["peak_rss_bytes"]),
+        "projected for a worker": size_text(projected),
+        "allowed for a worker": size_text(plan["memory_bytes"]),
+    })  # fmt: skip
+    before, tasks = done_before(run), sum(s["tasks"] for s in stages.values())
+    earlier = (
+        f"{before:,} of {tasks:,} tasks were done by earlier runs; the stages' times are of the last one."
+    )
+    before, tasks = done_before(run), sum(s["tasks"] for s in stages.values())
+    earlier = f"{before:,} of {tasks:,} tasks were done by earlier runs; the times of stages are those of the last one."
+    return section(
+        "timings",
+        "Time and memory",
+        el("p", earlier, class_="quiet") if before else None,
+        table(columns, rows, (1, 2, 3, 5, 6)),
+        memory,
+        *_slowest(run, passes),
+    )
+
+
+def _order(stage: str) -> tuple[int, str]:
+    """The place of a stage in a run."""
+    known = ("spool", "assemble", "filter", "grid-", "export", "mosaic")
+    return next((i for i, name in enumerate(known) if stage.startswith(name)), len(known)), stage
+
+
+def _bar(share: float) -> Node:
+    bar = el("rect", class_="bar", width=f"{100 * share:.1f}", height=10)
+    return el("svg", bar, width=100, height=10, viewBox="0 0 100 10", aria_hidden="true")
+
+
+def _slowest(run: Run, passes: int) -> list[Content]:
+    timed = [
+        (tile["seconds"], stage, tile)
+        for stage, tiles in run.get("tiles", {}).items()
+        for tile in tiles
+        if tile["seconds"] is not None
+    ]
+    timed.sort(key=lambda item: (-item[0], item[1], item[2]["key"]))
+    if not timed:
+        return []
+    rows = [
+        (stage_title(stage, passes), t["key"], f"{t['points']:,}", duration_text(seconds), f"{t['tries']}",
+         f"{t['marked']:,}", size_text(t["peak_rss_bytes"]))
+        for seconds, stage, t in timed[:SLOWEST]
+    ]  # fmt: skip
+    columns = ("stage", "tile", "points", "time", "tries", "not certified", "memory of its worker")
+    return [el("h3", "The slowest tiles"), table(columns, rows, (2, 3, 4, 5, 6))]
+
+
+def settings(run: Run) -> Node:
+    """Everything that it takes to do the same again: parameters, configuration, versions, CRS."""
+    plan = run["plan"]
+    parameters = [(name, value_text(value)) for name, value in plan["parameters"].items()]
+    configuration = [(name, value_text(value)) for name, value in run["configuration"].items()]
+    versions = [("tiler", run["version"]), *run.get("libraries", {}).items()]
+    return section(
+        "settings",
+        "Parameters and versions",
+        el("h3", f"Parameters of {plan['method']}"),
+        table(("parameter", "value"), parameters) if parameters else el("p", "It has none."),
+        el("h3", "Versions"),
+        facts(dict(versions)),
+        el("details", el("summary", "Configuration"), table(("setting", "value"), configuration)),
+        el("details", el("summary", "CRS"), el("pre", plan["crs"] or "none")),
+        el("details", el("summary", "Inputs, by the digests of their bytes"), el("pre", _digests(run))),
+    )
+
+
+def _digests(run: Run) -> str:
+    found = {Path(f["path"]).name: f["content"] for f in run.get("inputs", ())[:MOST_ROWS]}
+    return json.dumps(found, ensure_ascii=False)
