@@ -30,6 +30,7 @@ COMMANDS = {
     "evaluate": "Score classes against references, or a DTM against a true one.",
     "check": "Vertical accuracy of a DTM, its seams, and how flight strips fit.",
     "report": "Draw OUT/report.html again, with what was measured since.",
+    "clean": "Remove what a run left behind and no later one needs.",
     "simulate": "A cloud with true labels, and its true terrain.",
     "config": "The effective settings, or a commented file to start from.",
     "demo": "Simulate a small city, run the whole job on it, score it.",

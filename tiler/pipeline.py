@@ -243,12 +243,13 @@ def _assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
     """Points into buckets; tell of duplicates and of what takes no part."""
     fragments = fragments_of(spooled)
     tasks = list(assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled)))
-    _, stale = job.sorted_out("assemble", tasks)
+    done, stale = job.sorted_out("assemble", tasks)
     _forget_labels(job, stale)
     job.take_back("assemble", stale)
     job.store.allocate(
         {cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()}
     )
+    _bring_back(job, sources, [task for task in tasks if task.key not in done])
     commits = job.perform("assemble", tasks)
     assembled = Assembled.of(commits)
     if not commits:
@@ -265,6 +266,16 @@ def _assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
     if within or between:
         job.note(f"duplicates take part once: {between:,} points of other files, {within:,} within files")
     return assembled
+
+
+def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
+    """Decode again the pieces that buckets need and that `tiler clean` removed."""
+    needed = {piece for task in todo for bucket in task.arguments["buckets"] for piece, *_ in bucket[2]}
+    gone = needed - job.store.pieces() if needed else set()
+    if gone:
+        job.note(f"{len(gone)} pieces were removed from the store since they were decoded; they are again")
+        job.take_back("spool", gone)
+        job.perform("spool", spool_tasks(job.plan, sources))
 
 
 def _tell_of_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:

@@ -156,6 +156,17 @@ def current_index(storage: Storage) -> BucketIndex:
     )
 
 
+def remove_older(storage: Storage) -> BucketIndex:
+    """Remove every index but the current one, which is returned."""
+    current = current_index(storage)
+    pointer = storage.get_json(layout.INDEX_POINTER)
+    kept = {layout.INDEX_POINTER} if pointer is None else {layout.INDEX_POINTER, layout.index_key(pointer)}
+    for name in storage.names("index"):
+        if f"index/{name}" not in kept:
+            storage.delete(f"index/{name}")
+    return current
+
+
 @lru_cache(maxsize=4)
 def _loaded(storage: Storage, digest: str) -> BucketIndex | None:
     data = storage.get(layout.index_key(digest))

@@ -133,6 +133,12 @@ class Storage:
             # Not `clear`: on fsspec it stops, silently, at the first folder that went with the one above it.
             sync(self.zarr_store.delete_dir(""))
 
+    def remove_scratch(self) -> None:
+        """Remove what killed writes left on a local disk; object stores have no such thing."""
+        if self.root is not None:
+            for path in self.root.rglob("*.partial"):
+                path.unlink(missing_ok=True)
+
     def names(self, prefix: str) -> list[str]:
         """Sorted names of the objects and folders directly below ``prefix``."""
         if not self.exists():

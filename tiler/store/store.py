@@ -86,9 +86,24 @@ class TileStore:
         """Points ``start`` to ``stop - 1`` of a piece, all columns."""
         return spool.read_fragment(self._storage, piece, start, stop, self.meta.has_rgb)
 
+    def pieces(self) -> set[str]:
+        """Names of the pieces in the spool; some that were written in part may be among them."""
+        return set(self._storage.names("spool"))
+
     def drop_spool(self) -> None:
         """Remove the spool (*coordinator*)."""
         self._storage.delete_folder("spool")
+
+    def tidy(self) -> None:
+        """Remove the spool once its points are in buckets, older indices and scratch; pack commits (*coordinator*).
+
+        Scratch is what the store's writes leave when they are killed, so no task may run.
+        """
+        if index.remove_older(self._storage).rows:
+            self.drop_spool()
+        for stage in self._storage.names("commits"):
+            commits.compact(self._storage, stage)
+        self._storage.remove_scratch()
 
     # --- buckets
 
