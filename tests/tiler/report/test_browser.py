@@ -1,0 +1,167 @@
+"""The page in headless Chromium: it draws without an error, asks for nothing, and answers to mouse and keyboard."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.tiler.report import results
+from tiler.report.html import write_report
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = pytest.mark.slow
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+FRAMES_OF_A_DRAG = 20
+READY = "html[data-ready=yes]"
+SHARE_PAINTED = """() => {
+  const canvas = document.getElementById("canvas");
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const pixels = copy.getImageData(0, 0, canvas.width, canvas.height).data;
+  let painted = 0;
+  for (let i = 3; i < pixels.length; i += 4) painted += pixels[i] > 0;
+  return painted / (pixels.length / 4);
+}"""
+
+
+NEXT_FRAMES = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+
+
+def painted(page: Any) -> float:
+    """Share of the map that is painted, once it has drawn what it was told."""
+    page.evaluate(NEXT_FRAMES)
+    return float(page.evaluate(SHARE_PAINTED))
+
+
+def pointed_at(page: Any) -> tuple[float, float]:
+    """The coordinates that are told."""
+    x, y = page.locator("#told").inner_text().split(" · ")[0].split(", ")
+    return float(x), float(y)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    unprivileged = [] if os.geteuid() else ["--no-sandbox"]  # Chromium's sandbox refuses root
+    with playwright.sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path=CHROMIUM, args=unprivileged)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
+    """Opens the report of a run.json; in the end nothing may have been asked for, or gone wrong."""
+    told: list[str] = []
+    page = browser.new_page(viewport={"width": 1200, "height": 900})
+    page.on("console", lambda message: told.append(message.text))
+    page.on("pageerror", lambda error: told.append(str(error)))
+    page.on("request", lambda request: told.append(request.url))
+
+    def open_report(content: dict[str, Any], **media: str) -> Any:
+        path = write_report(results.write(tmp_path / "out", content))
+        page.emulate_media(**media)
+        page.goto(path.as_uri())
+        page.wait_for_selector(READY, state="attached")
+        return page
+
+    yield open_report
+    page.close()
+    assert [text for text in told if not text.startswith(("data:image/png;base64,", "file://"))] == []
+    assert sum(text.startswith("file://") for text in told) == 1
+
+
+def run_of_many_tiles(**changes: Any) -> dict[str, Any]:
+    tiles = [results.tile(i, 40, 1.5, tries=1 + i % 2) for i in range(1000)]
+    tiles[2].update(state="failed", seconds=None)
+    failed = [
+        {"stage": "filter0", "key": tiles[2]["key"], "error": results.HOSTILE, "bounds": tiles[2]["bounds"]}
+    ]
+    outputs = dict.fromkeys(("dtm.tif", "mask.tif", "density.tif"), 1)
+    return results.run(
+        tiles={"filter0": tiles, "grid-dtm": tiles[:9]}, failed_tasks=failed, outputs=outputs, **changes
+    )
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_everything_is_drawn(opened: Any, scheme: str) -> None:
+    page = opened(run_of_many_tiles(inputs=[results.source(results.HOSTILE)]), color_scheme=scheme)
+    assert painted(page) > 0.2
+    assert page.locator("#legend").inner_text().split("\n")[-1].strip().endswith("1 failed")
+    assert page.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 0)")
+    for name in ("hillshade", "density", "mask", ""):
+        page.select_option("#choose-picture", name)
+    for name in ("time", "none", "state"):
+        page.select_option("#choose-tiles", name)
+    page.check("#choose-files")
+    page.select_option("#choose-stage", "1")
+    assert page.locator("#legend").inner_text().strip().startswith("4 done")
+    background = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert (background == "rgb(255, 255, 255)") == (scheme == "light")
+
+
+def test_the_keyboard_goes_everywhere(opened: Any) -> None:
+    page = opened(run_of_many_tiles())
+    page.focus("#canvas")
+    before = painted(page)
+    for key in ("+", "+", "+", "ArrowLeft", "ArrowUp"):
+        page.keyboard.press(key)
+    assert painted(page) > before + 0.1
+    page.keyboard.press("0")
+    assert painted(page) == pytest.approx(before, abs=0.01)
+    page.keyboard.press("n")
+    assert page.locator("#told").inner_text().startswith("tile t+000+000, done, 1,000 points, 1 s")
+    for _ in range(2):
+        page.keyboard.press("n")
+    assert "failed" in page.locator("#told").inner_text()
+    assert "<img src=x onerror=alert(1)>" in page.locator("#told").inner_text()
+    page.keyboard.press("p")
+    assert page.locator("#told").inner_text().startswith("tile t+001+000")
+    reached = set()
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        reached.add(page.evaluate("document.activeElement.id || document.activeElement.tagName"))
+    assert {"DIV", "A", "SUMMARY"} & reached
+
+
+def test_the_mouse_moves_zooms_and_asks(opened: Any) -> None:
+    page = opened(run_of_many_tiles())
+    page.locator("#canvas").scroll_into_view_if_needed()
+    box = page.locator("#canvas").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    assert "tile t+020+013, done" in page.locator("#told").inner_text()
+    assert pointed_at(page) == pytest.approx((500030.0, 5399980.0), abs=0.5)
+    page.mouse.down()
+    page.mouse.move(x + 200, y + 100, steps=FRAMES_OF_A_DRAG)
+    page.mouse.up()
+    page.mouse.move(x, y)
+    east, north = pointed_at(page)
+    assert east < 500025.0
+    assert north > 5399982.0
+    page.get_by_label("Zoom in").click()
+    page.get_by_label("Show all").click()
+    page.mouse.move(x, y)
+    assert pointed_at(page) == pytest.approx((500030.0, 5399980.0), abs=0.5)
+
+
+def test_print_and_small_screens_hold_everything(opened: Any) -> None:
+    page = opened(run_of_many_tiles(), media="print")
+    assert not page.locator("nav").is_visible()
+    assert page.locator("#picture-mask").is_visible()
+    page.emulate_media(media="screen")
+    page.set_viewport_size({"width": 380, "height": 700})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 380
+
+
+def test_a_run_without_rasters_has_a_map_too(opened: Any) -> None:
+    page = opened({**run_of_many_tiles(), "outputs": {}})
+    assert painted(page) > 0.1
+    assert page.locator("#choose-picture").count() == 0
