@@ -41,7 +41,7 @@ class Result:
 
 def classify(
     xyz: npt.ArrayLike,
-    method: str = "classic",
+    method: str = "auto",
     params: Any = None,
     *,
     rgb: npt.ArrayLike | None = None,

@@ -256,10 +256,10 @@ def _box_means(values: Int32, reach: int) -> Float64:
 
 @kernel
 def _rise(before: float, own: float, after: float) -> float:
-    """Rise per step between the neighbours; one that is missing (NaN) gives way to the cell's own mean."""
-    if math.isnan(before):
-        return 0.0 if math.isnan(after) else after - own
-    return own - before if math.isnan(after) else (after - before) / 2.0
+    """The steeper of the rises from one neighbour and to the other; one that is missing (NaN) has none."""
+    first = 0.0 if math.isnan(before) else abs(own - before)
+    last = 0.0 if math.isnan(after) else abs(after - own)
+    return max(first, last)
 
 
 @kernel
@@ -297,8 +297,9 @@ def box_means(values: Int32, reach: int) -> Float64:
 def slopes(heights: Int32, reach: int) -> Float64:
     """Slope of a surface with empty cells, from the means of square boxes.
 
-    The means are of the filled cells up to `reach` cells (in both directions) from the cells `reach` to the east, west,
-    north and south, or from the cell itself where a box is empty; the sums are whole numbers, so they are exact.
+    The means are of the filled cells up to `reach` cells (in both directions) from the cell and from those `reach` to
+    the east, west, north and south; the sums are whole numbers, so they are exact. Along each axis the steeper of the
+    two sides counts: at the edge of a terrace or the foot of a slope a mean of both would hide it.
 
     Parameters
     ----------

@@ -33,9 +33,11 @@ def _scene() -> np.ndarray[Any, np.dtype[np.float64]]:
 
 def warm_filters(tell: Callable[[], None]) -> None:
     """Compile what filters use, unless that was done; ``tell`` is called before it takes long."""
-    from ptd import classify, labelling
+    from ptd import classify, labelling, morphology, roughness
 
-    if not _compiled(labelling._label):
+    if not all(
+        _compiled(kernel) for kernel in (labelling._label, morphology._slopes, roughness._drop_raised)
+    ):
         tell()
         classify(_scene())
 

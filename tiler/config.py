@@ -36,7 +36,7 @@ class RunConfig:
         None, "settings to start from: " + ", ".join(preset_names()) + "; those of --config and then those of the "
         "command line win; `tiler config --preset NAME` shows them", kind="preset",
     )  # fmt: skip
-    method: str = setting("classic", "ground filter (see `tiler methods`); `keep` trusts the input's classes")
+    method: str = setting("auto", "ground filter (see `tiler methods`); `keep` trusts the input's classes")
     parameters: tuple[tuple[str, str], ...] = setting(
         (), "parameters of the method, name=value", kind="pairs"
     )

@@ -22,7 +22,7 @@ max_building_size     Chen 2023; Zhang 2003       36 m      wide enough for hall
 thin_cell             as `classic`                1 m       the terrain's detail; noise of dense clouds averages to its
                                                             lower side
 low_radius, _depth,   as `classic`                5 m, 4 m, image matching: groups of 30 that are half as deep, as its
-low_group                                         5         blunders are
+low_group                                         5         blunders are; and pits of 3 x 3 cells deeper than 0.5 m
 seed_drop, _rise,     Pingel 2013 (slope, scale)  0.1 m,    noise; ground that rises by 0.06 beside flat ground is kept;
 _slope                                            0.06, 0.2 a fifth of the slope more on slopes
 slope_reach           ours                        7 m       boxes of 15 m see past a house's wall
@@ -37,10 +37,12 @@ trend_reach           ours                        20 m      a mean over 41 m fol
 residual_size         ours                        20 m      what is wider has been found before
 residual_drop, _rise, ours                        0.3 m,    less is within the last pass's height
 _slope                                            0.1, 0.2
-residual_lack,        ours                        2, 0.2,   where less than a fifth of the cells around are objects',
-_share, _around                                   10 m      bumps are terrain: the threshold grows by up to 2
-label_floor           as `classic`                0.3 m     or three times the noise where that is more
-label_slope           lessons of a prototype      1 m       a position is off by the spacing of the points on a slope
+residual_lack,        ours                        2, 0.3,   where fewer of the cells around are objects', bumps are
+_share, _around                                   10 m      terrain: the threshold grows by up to 2
+label_floor           as `classic`                0.3 m     below 1 point/m2; from 2 on 0.05 m and three times the
+                                                            noise, from 0.12 m to this: low plants
+label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
+                                                            points/m2 on
 ====================  ==========================  ========  ============================================================
 
 The ring of virtual seeds has cells of 20 m (`ptd.seeds`).
@@ -62,7 +64,7 @@ from ptd.frame import Cells, Scale, Window
 from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
 from ptd.methods.auto_settings import RING_M, AutoParameters, decided, settings
 from ptd.morphology import Bool
-from ptd.objects import Lowest, blocks
+from ptd.objects import PIT_REACH, Lowest, blocks
 from ptd.outliers import low_outliers
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.seeds import RING, box_with_ring, choose_seeds
@@ -148,15 +150,17 @@ class SeedPass(Pass):
         x, y, z, _ = lowest_points(points, cells)
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, s.low_depth_m, s.low_group)
         codes = np.where(outlier, np.uint8(OUTLIER), np.uint8(SEED))
-        for index, inner in blocks(x, y, cells, p.shape.reach):
+        for index, inner in blocks(x, y, cells, p.shape.reach + PIT_REACH):
             low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)
-            rises = low.steep_objects(~outlier[index], p.seed_drop, p.shape) & ~outlier[index]
+            present = ~outlier[index]
+            if s.pit_depth_m is not None:
+                pits = low.pits(present, s.pit_depth_m)
+                codes[index[pits & inner]] = OUTLIER
+                present &= ~pits
+            rises = low.steep_objects(present, p.seed_drop, p.shape) & present
             codes[index[rises & inner]] = OBJECT
-        stats = {
-            "cells": int(x.size),
-            "low_outliers": int(outlier.sum()),
-            "seeds": int((codes == SEED).sum()),
-        }
+        found = {"low_outliers": int((codes == OUTLIER).sum()), "seeds": int((codes == SEED).sum())}
+        stats = {"cells": int(x.size), **found}
         certain = window.inside(cells, p.seed_reach)
         return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
 
@@ -238,10 +242,9 @@ class LabelPass(Pass):
             return Labels(None, noise, window.closed, {"vertices": 0})
         tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale, spare=0)
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
-        floor, per_slope = settings(p, state["survey"]).label_floor_m, p.label_slope_m
-        terrain = Terrain(
-            tin, in_doubt, noise, p.limits(scale), scale.counts(floor), per_slope=scale.counts(per_slope)
-        )
+        s = settings(p, state["survey"])
+        floor, per_slope = scale.counts(s.label_floor_m), scale.counts(s.label_slope_m)
+        terrain = Terrain(tin, in_doubt, noise, p.limits(scale), floor, per_slope=per_slope)
         return Labels(terrain, noise, window.closed, {"vertices": tin.n_vertices})
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from ptd.criteria import Limits
 from ptd.frame import Scale
 from ptd.methods.progressive import Progressive
-from ptd.objects import Drop, Residuals, Shape
+from ptd.objects import PIT_REACH, Drop, Residuals, Shape
 from ptd.outliers import search_margin
 from ptd.params import check, like, parameter
 from ptd.roughness import Roughness
@@ -26,8 +26,15 @@ SEVERAL_SHARE = 0.001
 """So many points that are one of several returns prove a laser."""
 DIM_GROUP, DIM_DEPTH = 6, 0.5
 """Blunders of image matching come in larger groups than a laser's low points, and nearer to the ground."""
-FLOOR_SIGMAS = 3.0
-"""Noise that the last pass allows."""
+DIM_PIT_M = 0.5
+"""Depth of pits that image matching leaves in the surface."""
+SPARSE_M2, DENSE_M2 = 1.0, 2.0
+"""Points per square metre up to which the last pass is as the parameters say, and from which it is as narrow as the
+noise allows."""
+DENSE_FLOOR_M, FLOOR_BASE_M, FLOOR_SIGMAS = 0.12, 0.05, 3.0
+"""Floor of the last pass for dense clouds: at least the first, else the second and so many times the noise."""
+DENSE_SLOPE = 0.5
+"""Share of ``label_slope_m`` for dense clouds."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +96,7 @@ class AutoParameters:
         2.0, "residuals: more of the rise where no objects are around", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     residual_share: float = parameter(
-        0.2, "residuals: share of cells of objects around from which on there is no more", minimum=0.01, maximum=1.0,
+        0.3, "residuals: share of objects among the cells around from which on not", minimum=0.01, maximum=1.0,
     )  # fmt: skip
     residual_around_m: float = parameter(
         10.0, "residuals: how far around is", unit="m", minimum=1.0, maximum=100.0,
@@ -140,7 +147,7 @@ class AutoParameters:
     @property
     def seed_reach(self) -> int:
         """Cells beyond which nothing has a part in what a cell is after the pass `seeds`."""
-        return self.shape.reach + search_margin(self.low_radius_m, 1, self.thin_cell_m)
+        return self.shape.reach + PIT_REACH + search_margin(self.low_radius_m, 1, self.thin_cell_m)
 
     @property
     def refine_reach(self) -> int:
@@ -174,16 +181,24 @@ class Settings:
 
     low_depth_m: float
     low_group: int
+    pit_depth_m: float | None
     label_floor_m: float
+    label_slope_m: float
 
 
 def settings(params: AutoParameters, survey: Mapping[str, Any]) -> Settings:
     """Thresholds for a run, from what `decided` says of it."""
     dim, sigma = survey["kind"] == DIM, survey["sigma_m"]
+    dense = min(max((survey["density_m2"] - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
+    floor = params.label_floor_m
+    if sigma is not None:
+        floor = min(max(DENSE_FLOOR_M, FLOOR_BASE_M + FLOOR_SIGMAS * sigma), floor)
     return Settings(
         low_depth_m=params.low_depth_m * (DIM_DEPTH if dim else 1.0),
         low_group=params.low_group * (DIM_GROUP if dim else 1),
-        label_floor_m=max(params.label_floor_m, FLOOR_SIGMAS * sigma if sigma is not None else 0.0),
+        pit_depth_m=DIM_PIT_M if dim else None,
+        label_floor_m=params.label_floor_m + dense * (floor - params.label_floor_m),
+        label_slope_m=params.label_slope_m * (1.0 - dense * (1.0 - DENSE_SLOPE)),
     )
 
 
@@ -227,8 +242,7 @@ def decided(
         f"{found.density_m2:.3g} points/m2, {noise}"
     ]
     chosen = settings(params, survey)
-    if chosen.label_floor_m > params.label_floor_m:
-        notes.append(
-            f"decided: ground is up to {chosen.label_floor_m:.3g} m from the surface, {FLOOR_SIGMAS:g} times the noise"
-        )
+    notes.append(
+        f"decided: ground is up to {chosen.label_floor_m:.2f} m + {chosen.label_slope_m:.2g} m x slope from the surface"
+    )
     return survey, notes

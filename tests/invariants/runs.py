@@ -20,10 +20,13 @@ MARK = 0x80
 
 
 def settings(**changes: Any) -> RunConfig:
-    """One worker, this process; tiles far smaller than the scenes; lengths as numbers of metres."""
+    """One worker, this process; tiles far smaller than the scenes; lengths as numbers of metres.
+
+    `classic` unless said otherwise: one pass, so that runs by the hundred are quick.
+    """
     values: dict[str, Any] = {
         "workers": 1, "resolution": "1", "tile_size": "64", "halo": "80", "memory": "1GiB", "in_process": True,
-        **changes,
+        "method": "classic", **changes,
     }  # fmt: skip
     return RunConfig.from_mapping(values)
 

@@ -126,5 +126,5 @@ def test_a_filter_does_not_see_the_classes(tmp_path: Path) -> None:
     found = {name: sum(c["labelled_ground"] for c in s["classes"].values()) for name, s in scores.items()}
     assert found["true"] == found["lying"]
     assert scores["true"]["scenes"][0]["seconds"] > 0
-    assert scores["true"]["method"] == "classic"
+    assert scores["true"]["method"] == "auto"
     assert laspy.read(tmp_path / "lying.laz").classification.tolist() == lying.tolist()
