@@ -26,7 +26,7 @@ def test_nothing_of_a_run_shows(
         clouds.write(tmp_path / f"{i}.laz", cloud.take(p)) for i, p in enumerate(np.array_split(order, 2))
     ]
     origin = int(CORNER[0] * 1000) - 123_457, int(CORNER[1] * 1000) + 77
-    monkeypatch.setattr("tiler.plan._origin", lambda extent: origin)
+    monkeypatch.setattr("tiler.plan.sizes.origin_of", lambda extent: origin)
     tiled = do(files, tmp_path / "tiled", method="auto", halo=None, tile_size=48)
     assert tiled.summary["filter"]["tiles"] > 5
     assert tiled.summary["filter"]["marked"] == 0
