@@ -13,7 +13,7 @@ from ptd.cells import lowest_per_cell
 from ptd.frame import Cells, Scale, Window
 from ptd.methods import METHODS
 from ptd.params import to_json
-from ptd.passes import Points, RunFacts
+from ptd.passes import Int32, Points, RunFacts, UInt8
 
 COUNTS_PER_METRE = 1000
 LARGEST_EXTENT_M = 60_000.0
@@ -91,9 +91,21 @@ def classify(
     for name in METHODS[method].needs:
         if columns[name] is None:
             raise ValueError(f"method {method} needs {name}")
-    window = Window.everything()
-    state: dict[str, Any] = {"run": asdict(RunFacts(rgb is not None, sigma))}
-    labels = np.zeros(len(points), np.uint8)
+    labels, state, stats = do_passes(params, counts, columns, scale, Window.everything(), sigma)
+    return Result(labels, {"method": method, "parameters": to_json(params), "statistics": state}, stats)
+
+
+def do_passes(
+    params: Any,
+    counts: Int32,
+    columns: dict[str, Any],
+    scale: Scale,
+    window: Window,
+    sigma: float | None = None,
+) -> tuple[UInt8, dict[str, Any], dict[str, Any]]:
+    """All passes of a method on one window: labels, state, and the statistics of each pass."""
+    state: dict[str, Any] = {"run": asdict(RunFacts(columns["rgb"] is not None, sigma))}
+    labels = np.zeros(counts.shape[1], np.uint8)
     stats = {}
     candidates: Any = slice(None)
     if params.candidate_cell_m and not all(step.every_point for step in params.passes):
@@ -110,7 +122,7 @@ def classify(
             labels, _ = model.label(given)
         stats[step.name] = model.stats
         state = step.reduce([model.partial()], state)
-    return Result(labels, {"method": method, "parameters": to_json(params), "statistics": state}, stats)
+    return labels, state, stats
 
 
 def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: type) -> Any:

@@ -1,57 +1,85 @@
 """Compile the kernels once per machine, before workers start that would each compile them.
 
-numba keeps machine code beside the modules or, where that folder cannot be written, in the user's cache folder
-(``NUMBA_CACHE_DIR`` names another). Processors of different kinds and several users each get their own.
+Where their machine code is kept: `ptd.kernel`. A file beside it says that a method's kernels are among it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from fractions import Fraction
+from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
+
+from ptd.frame import Scale, Window
+from ptd.kernel import cache_folder
+
+Float64 = npt.NDArray[np.float64]
 
 
-def _compiled(kernel: Any) -> bool:
-    """Whether machine code of a kernel lies in the cache; False where that cannot be told."""
-    cache = getattr(kernel, "_cache", None)
-    folder = getattr(cache, "cache_path", None)
-    if folder is None:
-        return False
-    name = f"{kernel.py_func.__module__.rsplit('.', 1)[-1]}.{kernel.py_func.__name__}-"
-    return any(path.name.startswith(name) for path in Path(folder).glob("*.nbi"))
+def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
+    """A coloured town in which every method finds what it needs: xyz [n, 3] in metres, rgb [n, 3].
+
+    60 m on a slope, 10 points/m2 with noise of 5 cm, a mound, four houses with a facade each, trees, low outliers.
+    """
+    random = np.random.default_rng(1)
+    x, y = 60 * random.random((2, 36_000))
+    u, v = x % 30 - 15, y % 30 - 15
+    tree = np.hypot(u - 11, v + 11) < 3
+    mound = 1.5 * np.exp(-((x - 30) ** 2 + (y - 30) ** 2) / 50)
+    z = 0.04 * x + mound + tree * random.uniform(2, 6, x.size)
+    z[(abs(u) < 7) & (abs(v) < 5)] = 13.0
+    z[::5000] -= 20.0
+    at = np.flatnonzero(abs(u) < 7)
+    facades = np.stack([x[at], y[at] // 30 * 30 + 10, random.uniform(4, 13, at.size)])
+    xyz = np.concatenate([[x, y, z + random.normal(0, 0.05, x.size)], facades], axis=1)
+    green = np.append(tree, np.zeros(at.size, np.bool_))
+    rgb = np.where(green, [[90], [140], [60]], [[120], [118], [116]])
+    rgb += random.integers(-9, 9, rgb.shape)
+    return xyz.T, rgb.T.astype(np.uint16)
 
 
-def _scene() -> np.ndarray[Any, np.dtype[np.float64]]:
-    """A few hundred points on a slope with a block on it and a low outlier: every branch is taken."""
-    x, y = (axis.ravel().astype(np.float64) for axis in np.meshgrid(np.arange(30), np.arange(30)))
-    z = 0.1 * x + 5.0 * ((abs(x - 15) < 4) & (abs(y - 15) < 4))
-    z[100] = -20.0
-    return np.stack([x, y, z], axis=1)
+def warm_filters(method: str, tell: Callable[[], None]) -> None:
+    """Compile what a method uses, unless that was done; ``tell`` is called before it takes long."""
+    from ptd.api import do_passes
+    from ptd.methods import METHODS
+
+    def work() -> None:
+        xyz, rgb = _scene()
+        counts = np.ascontiguousarray((1000 * xyz).T.astype(np.int32))
+        columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": np.ones((2, len(xyz)), np.uint8)}
+        tile = Window(0, 0, 60_000, 60_000)  # points beyond it are in doubt, which has kernels of its own
+        do_passes(METHODS[method].params(), counts, columns, Scale(), tile)
+
+    _once(method, tell, work)
 
 
-def warm_filters(tell: Callable[[], None]) -> None:
-    """Compile what filters use, unless that was done; ``tell`` is called before it takes long."""
-    from ptd import classify, labelling, morphology, roughness
-
-    if not all(
-        _compiled(kernel) for kernel in (labelling._label, morphology._slopes, roughness._drop_raised)
-    ):
-        tell()
-        classify(_scene())
-
-
-def warm_gridding(tell: Callable[[], None]) -> None:
+def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[], None]) -> None:
     """Compile what gridding uses, unless that was done; ``tell`` is called before it takes long."""
-    from ptd import highest, nearest
-    from ptd.tin import Pixels, Tin, Window, raster, rasterise
+    from ptd import erosion, highest, nearest
+    from ptd.tin import Pixels, Tin, rasterise
+    from ptd.tin import Window as Seen
 
-    if not all(_compiled(kernel) for kernel in (raster.scan, highest._update, nearest._search)):
+    def work() -> None:
+        pixels = Pixels(1000, 1, 0, 59, 60, 60)
+        xyz = np.ascontiguousarray((1000 * _scene()[0]).T.astype(np.int32))
+        tin, window = Tin.build(*xyz), Seen(-1000, -1000, 61_000, 61_000)
+        rasterise(tin, pixels, interpolator=interpolation, max_edge=5e4, max_radius=5e4, window=window)
+        nearest.nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, 5e3)
+        highest.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)
+        erosion.beside_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
+
+    _once(f"gridding-{interpolation}", tell, work)
+
+
+def _once(name: str, tell: Callable[[], None], work: Callable[[], None]) -> None:
+    """Compile by doing some work, unless a file beside the machine code says that this was done."""
+    folder = cache_folder()
+    done = None if folder is None else folder / f"{name}.compiled"
+    if done is None:
+        tell()  # every process compiles for itself
+    elif not done.exists():
         tell()
-        pixels = Pixels(1000, 1, 0, 29, 30, 30)
-        x, y, z = (1000 * _scene().T).astype(np.int32)
-        window = Window(-1000, -1000, 31_000, 31_000)
-        rasterise(Tin.build(x, y, z), pixels, max_edge=5e4, max_radius=5e4, window=window)
-        nearest.nearest_points(x, y, z, pixels, 1, 5e3)
-        highest.HighestReturns(1, 1).add(np.zeros(x.size, np.int64), np.stack([x, y, z]))
+        work()
+        done.touch()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import time
 from collections import Counter
@@ -317,10 +318,11 @@ def _filter(job: Job, assembled: Assembled) -> dict[Cell, str]:
     sigma = None if config.sigma is None else float(config.sigma)
     state: dict[str, Any] = {"run": dataclasses.asdict(RunFacts(job.plan.meta.has_rgb, sigma))}
     labels = assembled.digests
+    warm = functools.partial(warm_filters, config.method)
     job.facts["statistics"] = {}
     for number, step in enumerate(passes):
         tasks = list(filter_tasks(job.plan, assembled, number, state, labels))
-        filtered = job.perform(f"filter{number}", tasks, warm_filters)
+        filtered = job.perform(f"filter{number}", tasks, warm)
         if not filtered:
             raise ProcessingError(f"no tile could be filtered; the first: {job.failed[0]['error']}")
         partials = (record["partial"] for _, record in filtered.values())

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -52,7 +53,8 @@ def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commi
             if block.name not in done:
                 job.store.write_block(name, block, np.full((block.height, block.width), fill, np.float32))
     job.store.put_state(f"raster-{name}", spec.to_json())
-    made = job.perform(stage, tasks, warm_gridding)
+    how: Literal["linear", "natural"] = "natural" if job.plan.config.interpolation == "natural" else "linear"
+    made = job.perform(stage, tasks, functools.partial(warm_gridding, how))
     if tasks and not made:
         raise ProcessingError(f"no block of {name} could be made; the first: {job.failed[0]['error']}")
     return made

@@ -21,7 +21,7 @@ do(Path(sys.argv[1]), Path(sys.argv[2]), **json.loads(sys.argv[3]))
 """
 WARM = """
 from ptd.warm import warm_filters, warm_gridding
-warm_filters(lambda: None); warm_gridding(lambda: None)
+warm_filters("classic", lambda: None); warm_gridding("linear", lambda: None)
 """
 
 

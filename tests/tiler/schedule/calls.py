@@ -45,12 +45,12 @@ def leave() -> None:
 
 
 def sleep() -> None:
-    time.sleep(60)
+    time.sleep(900)
 
 
 def hang_with_the_lock() -> None:
     """In a library that keeps the interpreter's lock: no Python code can run in any thread."""
-    ctypes.PyDLL(None).sleep(60)
+    ctypes.PyDLL(None).sleep(900)
 
 
 def allocate(gibibytes: int) -> int:

@@ -13,7 +13,7 @@ from tests.tiler.schedule import calls
 from tiler.errors import InputError
 from tiler.schedule import Died, Guard
 
-SECONDS = 30.0
+SECONDS = 300.0
 
 
 @pytest.fixture(scope="module")
