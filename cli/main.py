@@ -25,6 +25,7 @@ COMMANDS = {
     "grid": "Third stage: interpolate the ground at the pixels.",
     "export": "Fourth stage: write the DTM and the classified clouds.",
     "classify": "One file to one classified file, with no store left behind.",
+    "preview": "A picture of what the settings give, in seconds.",
     "info": "What a cloud, a store, a result folder or a raster holds.",
     "methods": "The ground filters and their parameters.",
     "evaluate": "Score classes against references, or a DTM against a true one.",

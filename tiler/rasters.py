@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ptd.warm import warm_gridding
+from tiler.advice import roofs_in_terrain
 from tiler.core.lattice import Cell
 from tiler.core.products import MASK_VALUES
 from tiler.core.raster import RasterSpec
@@ -30,6 +31,7 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
         gridding.made[name] = _raster(job, gridding, name, tasks)
         if name == "dtm":
             _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
+            _advise(job, gridding.spec)
     if "mask" in gridding.made:
         _tell_of_mask(job, gridding.made["mask"])
     return gridding
@@ -58,6 +60,17 @@ def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commi
     if tasks and not made:
         raise ProcessingError(f"no block of {name} could be made; the first: {job.failed[0]['error']}")
     return made
+
+
+def _advise(job: Job, spec: RasterSpec) -> None:
+    """Look for roofs in the terrain, where a parameter of the method could have kept them out of it."""
+    building = job.plan.parameters.get("max_building_size_m")
+    if building is None or not job.stages["grid-dtm"]["computed"]:
+        return
+    text = roofs_in_terrain(job.store, "dtm", spec, building)
+    job.facts["advice"] = [] if text is None else [text]
+    for line in job.facts["advice"]:
+        job.listener("warning", {"text": line})
 
 
 def _tell_of_mask(job: Job, made: Mapping[str, Any]) -> None:

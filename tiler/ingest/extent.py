@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from tiler.errors import InputError
 from tiler.ingest.patches import Patch, find_patches
+from tiler.las.columns import returns
 from tiler.las.headers import LasHeader
 from tiler.las.reader import COORDINATES, PointReader, Records, rows_at_once
 
@@ -42,12 +43,15 @@ class Extent:
         What people should know.
     patches : tuple of Patch
         How the points are spread over the bounds, estimated.
+    returns : int
+        Largest number of returns of a pulse in the sample; 0 or 1 for clouds without pulses.
     """
 
     bounds: tuple[float, ...] | None
     claimed: bool
     note: str | None = None
     patches: tuple[Patch, ...] = ()
+    returns: int = 0
 
 
 def find_extent(header: LasHeader) -> Extent:
@@ -68,6 +72,7 @@ def find_extent(header: LasHeader) -> Extent:
         last = header.point_count - 1
         starts = sorted({_chunk_start(header, last * i // (_PLACES - 1)) for i in range(_PLACES)})
         sample = [reader.read(s, min(_SAMPLE, header.point_count - s)) for s in starts]
+        most = max(int(returns(records, header.point_format)[1].max(initial=0)) for records in sample)
         near = _Hull.of(header, sample)
         claim = _Hull(np.array(header.mins), np.array(header.maxs))
         note = None
@@ -89,7 +94,7 @@ def find_extent(header: LasHeader) -> Extent:
     patches = find_patches(
         [_plan_view(header, block) for block in sample], header.point_count, (*low[:2], *high[:2])
     )
-    return Extent((*low, *high), claimed, note, patches)
+    return Extent((*low, *high), claimed, note, patches, most)
 
 
 def _plan_view(header: LasHeader, records: Records) -> Array:

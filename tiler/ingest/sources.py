@@ -55,6 +55,8 @@ class SourceInfo:
         are no points.
     claimed : bool
         The bounds are the header's, and a sample of points lies inside.
+    returns : int
+        Largest number of returns of a pulse in a sample of points; 0 or 1 for clouds without pulses.
     notes : tuple of str
         What people should know.
     patches : tuple of Patch
@@ -77,6 +79,7 @@ class SourceInfo:
     georeference: Georeference
     bounds: tuple[float, ...] | None
     claimed: bool
+    returns: int
     notes: tuple[str, ...]
     patches: tuple[Patch, ...] = ()
 
@@ -180,7 +183,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         record_length=header.record_length, points=header.point_count, compressed=header.laz is not None,
         copc=any(v.is_copc for v in header.vlrs), has_rgb=header.point_format in RGB_FORMATS,
         salvaged=salvage and bool(header.notes), scales=header.scales, georeference=place, bounds=extent.bounds,
-        claimed=extent.claimed,
+        claimed=extent.claimed, returns=extent.returns,
         notes=(*notes, *(place.notes if place.kind != "missing" else ())), patches=extent.patches,
     )  # fmt: skip
 

@@ -13,6 +13,7 @@ import psutil
 from ptd.methods import METHODS, make_params
 from ptd.params import to_json
 from ptd.passes import Pass
+from tiler import advice
 from tiler.config import RunConfig
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
@@ -75,6 +76,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     passes = _planned_passes(defaults, config, notes) if defaults else ()
     tile = config.tile_size or sizes.tile_m(memory, density, cell, passes, meta)
     warnings = warnings_of(filled, agreement.units, tile, max((step.halo_m for step in passes), default=0.0))
+    warnings += advice.before(filled, config, density, _own_halo(defaults))
     plan = Plan(
         config, tuple(sources), tuple(unreadable), meta, limits, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
@@ -141,6 +143,12 @@ def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceI
     if not sources:
         raise InputError(f"none of {len(paths)} inputs can be read; the first: {unreadable[0][1]}")
     return sources, unreadable
+
+
+def _own_halo(params: Any) -> float | None:
+    """The halo that a method asks for, whatever ``--halo`` says; None if it has none or all its reaches are proven."""
+    steps = [] if params is None else [step for step in params.passes if step.reach_m is None]
+    return max((float(params.halo_m if s.halo_m is None else s.halo_m) for s in steps), default=None)
 
 
 def _planned_passes(params: Any, config: RunConfig, notes: list[str]) -> tuple[PlannedPass, ...]:

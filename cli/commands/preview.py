@@ -1,0 +1,60 @@
+"""``tiler preview``."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from typing import Any
+
+import click
+
+from cli.options import SETTINGS, config_options, inputs_argument, json_option, read_config
+from cli.output import print_json
+from cli.session import TilerCommand, current_session
+from cli.summary import percent_text
+
+WITHOUT = (
+    "products", "sheets", "bounds", "store", "scheduler", "workers", "in_process", "task_seconds", "compress", "nodata",
+    "on_error", "verify", "overwrite", "clean_store", "voids",
+)  # fmt: skip
+"""Settings of a run that no preview has."""
+
+
+@click.command("preview", cls=TilerCommand)
+@inputs_argument
+@click.option("-o", "--out", default="preview.png", type=click.Path(), metavar="FILE.png",
+              help="the picture; replaced if it is there [default: preview.png]")  # fmt: skip
+@click.option("--windows", default=3, type=click.IntRange(1, 12), metavar="N",
+              help="number of windows, at most [default: 3]")  # fmt: skip
+@click.option("--size", metavar="LENGTH",
+              help="side of a window [unit: m; default: up to 200, less where clouds are dense]")  # fmt: skip
+@config_options(only=[name for name in SETTINGS if name not in WITHOUT])
+@json_option
+def command(
+    inputs: tuple[str, ...], out: str, windows: int, size: str | None, as_json: bool, **settings: Any
+) -> None:
+    """A picture of what the settings give, in seconds.
+
+    Takes a few windows of the clouds at full density, does with each what `tiler run` would do with these
+    settings, and draws the surface (above) and the terrain (below) as hillshades, a column for each window. What
+    stands in the terrain and should not, or lacks and should stand, is seen before the whole job runs.
+    """
+    config = read_config(settings)
+    from tiler.core.units import parse_length
+    from tiler.observe.progress import open_progress
+    from tiler.preview import make_preview
+
+    session = current_session()
+    side = None if size is None else float(parse_length(size))
+    with open_progress(sys.stderr, session.quiet) as listener:
+        found = make_preview(inputs, out, config, listener, number=windows, side_m=side)
+    if as_json:
+        print_json({"picture": out, "windows": [dataclasses.asdict(window) for window in found]})
+    elif not session.quiet:
+        click.echo(f"{out}: surface above, terrain below; from left to right:")
+        for window in found:
+            x0, y0, x1, y1 = window.bounds
+            share = percent_text(window.ground / window.points)
+            click.echo(
+                f"  --bounds {x0:.0f} {y0:.0f} {x1:.0f} {y1:.0f}: {window.points:,} points, {share} ground"
+            )

@@ -1,0 +1,75 @@
+"""The documentation: what is generated is current, links lead somewhere, every command works."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.integration.command import environment
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+BLOCK = re.compile(r"^```sh(?: exit=(\d+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
+LARGEST_PICTURE = 200_000
+PORT = "8786"
+
+
+def blocks(page: Path) -> list[tuple[int, str]]:
+    """Exit code and text of each block of commands."""
+    return [(int(code or 0), text) for code, text in BLOCK.findall(page.read_text("utf-8"))]
+
+
+def test_parameters_are_those_of_the_source() -> None:
+    made = subprocess.run(
+        [sys.executable, "-c", "import reference, sys; sys.stdout.write(reference.page())"],
+        cwd=ROOT / "docs", env=environment(), capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert (ROOT / "docs/parameters.md").read_text("utf-8") == made.stdout, "run `python docs/reference.py`"
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda p: p.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in LINK.findall(page.read_text("utf-8")):
+        assert (page.parent / link).exists(), link
+
+
+def test_every_page_is_linked() -> None:
+    linked = {link for page in PAGES for link in LINK.findall(page.read_text("utf-8"))}
+    assert {p.name for p in PAGES} - {"README.md"} <= linked
+
+
+@pytest.mark.parametrize("picture", sorted((ROOT / "docs").glob("*.png")), ids=lambda p: p.name)
+def test_pictures_are_small_and_shown(picture: Path) -> None:
+    assert picture.stat().st_size < LARGEST_PICTURE
+    texts = [(ROOT / "README.md").read_text("utf-8"), *(p.read_text("utf-8") for p in PAGES)]
+    assert any(picture.name in text for text in texts)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: p.stem)
+def test_every_command_works(page: Path, tmp_path: Path) -> None:
+    """In an empty folder, block by block, as a reader would."""
+    programs, folder = tmp_path / "bin", tmp_path / "folder"
+    programs.mkdir()
+    folder.mkdir()
+    for name, module in (("tiler", "cli.main"), ("dask", "dask.__main__")):
+        program = programs / name
+        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {module} "$@"\n')
+        program.chmod(0o755)
+    path = os.pathsep.join((str(programs), os.environ["PATH"]))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    for code, text in blocks(page):
+        done = subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", text.replace(PORT, port)], cwd=folder,
+            env={**environment(), "PATH": path}, capture_output=True, text=True, check=False, timeout=300,
+        )  # fmt: skip
+        assert done.returncode == code, f"{text}\n{done.stdout}\n{done.stderr}"

@@ -1,0 +1,188 @@
+"""Choices that the data show to be wrong: one warning each, with the remedy. A choice that may be right has none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from tiler.config import RunConfig
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.ingest import SourceInfo
+from tiler.store import TileStore
+
+Float64 = npt.NDArray[np.float64]
+
+FOR_SCANNERS = ("classic", "chen2023")
+"""Methods whose defaults are made for laser scanning."""
+MATCHED_DENSITY = 12.0
+"""Points per m2 from which colours and single returns mean image matching: coloured scans with their returns taken off
+are sparser."""
+
+COLOURS_WITHOUT_TIME = 2
+"""Point format of matched clouds: scanners keep the time of each pulse."""
+
+ROOF_CELL_M = 2.0
+WIDEST_ROOF_M = 200.0
+LEVEL_M = 1.0
+"""Heights of a cell and its neighbours differ by no more on a roof."""
+EAVES_M = 2.0
+EAVES_SHARE = 0.8
+"""Of a roof's outline from which the terrain falls by `EAVES_M`."""
+PLANE_M = 0.6
+"""Root mean square of a roof's cells about their plane."""
+BEYOND_CELLS = 3
+"""From a roof's level cells to the ground beside it: the edge itself takes the cells between."""
+PART_CELLS = 1000
+
+
+def before(
+    sources: Sequence[SourceInfo], config: RunConfig, density: float, halo_m: float | None
+) -> Iterator[str]:
+    """What headers and a sample of points show.
+
+    Parameters
+    ----------
+    sources : sequence of SourceInfo
+        With points.
+    config : RunConfig
+    density : float
+        Points per m2.
+    halo_m : float or None
+        With which tiles of the method seldom need more; None where every pass has a fixed reach.
+    """
+    if config.method in FOR_SCANNERS and all(_looks_matched(s, density) for s in sources):
+        yield (
+            f"the points look like image matching (colours, one return each), and method "
+            f"{config.method} is made for laser scanning; use --preset dim"
+        )
+    spacing = 1 / math.sqrt(density)
+    if config.resolution is not None and float(config.resolution) < 0.7 * spacing:
+        coarser = math.ceil(spacing * 10) / 10
+        yield (
+            f"--resolution {float(config.resolution):g} m is finer than the points, which are {spacing:.2g} m apart: "
+            f"most pixels will be interpolated; use --resolution {coarser:g}"
+        )
+    if config.halo is not None and halo_m is not None and float(config.halo) < halo_m / 2:
+        yield (
+            f"--halo {float(config.halo):g} m is too small for method {config.method}: most tiles will be done again "
+            f"with more; leave it out, or use --halo {halo_m:g}"
+        )
+
+
+def _looks_matched(source: SourceInfo, density: float) -> bool:
+    return (
+        source.has_rgb
+        and source.returns <= 1
+        and (density >= MATCHED_DENSITY or source.point_format == COLOURS_WITHOUT_TIME)
+    )
+
+
+def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: float) -> str | None:
+    """A warning if the terrain holds what looks like a roof too wide for ``max_building_size``.
+
+    Parameters
+    ----------
+    store : TileStore
+    name : str
+        Raster of the terrain.
+    spec : RasterSpec
+    building_m : float
+        The method's largest building, metres.
+    """
+    frame = store.meta.frame
+    pixel = float(spec.lattice.size * frame.metres_xy)
+    times = max(int(ROOF_CELL_M / pixel), 1)
+    core, pad = PART_CELLS * times, math.ceil(WIDEST_ROOF_M / pixel / times) * times
+    widest, where = 0.0, None
+    for block in spec.blocks(core):
+        top, left = max(block.row - pad, 0), max(block.col - pad, 0)
+        bottom = min(block.row + block.height + pad, spec.height)
+        right = min(block.col + block.width + pad, spec.width)
+        part = store.read_block(name, Block(top, left, bottom - top, right - left)).astype(np.float64)
+        part[part == NODATA] = np.nan
+        part *= float(frame.units.vertical)
+        for width, row, col in roofs(pooled(part, times), pixel * times):
+            if width > widest:
+                widest, where = width, (top + int(row * times), left + int(col * times))
+    if where is None or widest <= 0.8 * building_m:
+        return None
+    x, y = _place(store, spec, *where)
+    wanted = math.ceil(1.2 * widest / 10) * 10
+    return (
+        f"the terrain holds what looks like a roof {widest:.0f} m wide, at x {x:.0f}, y {y:.0f}, and max_building_size "
+        f"is {building_m:g} m; if it is one, use --set max_building_size={wanted}"
+    )
+
+
+def _place(store: TileStore, spec: RasterSpec, row: int, col: int) -> tuple[float, float]:
+    a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
+    return x + a * col, y + e * row
+
+
+def pooled(heights: Float64, times: int) -> Float64:
+    """The heights of every so many-th pixel: thinning keeps what stands steep, means would blur it."""
+    return heights[times // 2 :: times, times // 2 :: times]
+
+
+def roofs(heights: Float64, cell_m: float) -> list[tuple[float, float, float]]:
+    """Level blocks that stand above all that is around them.
+
+    Parameters
+    ----------
+    heights : float64, shape (rows, columns)
+        Metres, NaN where unknown.
+    cell_m : float
+
+    Returns
+    -------
+    list of (width, row, column)
+        Diameter of the largest circle inside, metres, and the middle.
+    """
+    if heights.size == 0:
+        return []
+    rim = BEYOND_CELLS + 1
+    heights = np.pad(heights, rim, constant_values=np.nan)
+    known = ~np.isnan(heights)
+    low = ndimage.minimum_filter(np.where(known, heights, np.inf), 3)
+    high = ndimage.maximum_filter(np.where(known, heights, -np.inf), 3)
+    with np.errstate(invalid="ignore"):
+        level = known & (high - low <= LEVEL_M)
+    numbers, _ = ndimage.label(level)
+    found = []
+    for number, box in enumerate(ndimage.find_objects(numbers), start=1):
+        cut = any(s.start == rim or s.stop == n - rim for s, n in zip(box, heights.shape, strict=True))
+        if cut or max(s.stop - s.start for s in box) * cell_m > WIDEST_ROOF_M:
+            continue
+        window = tuple(slice(s.start - rim, s.stop + rim) for s in box)
+        roof = _roof(heights[window], numbers[window] == number, cell_m)
+        if roof is not None:
+            middle = [(s.start + s.stop) / 2 - rim for s in box]
+            found.append((roof, middle[0], middle[1]))
+    return found
+
+
+def _roof(heights: Float64, level: npt.NDArray[np.bool_], cell_m: float) -> float | None:
+    """Width of a level piece if it is a roof."""
+    inside = ndimage.distance_transform_edt(np.pad(level, 1))
+    width = 2 * float(inside.max()) * cell_m
+    if width < 4 * cell_m:
+        return None
+    around = ndimage.binary_dilation(level, iterations=BEYOND_CELLS + 1)
+    ring = around & ~ndimage.binary_dilation(level, iterations=BEYOND_CELLS)
+    nearest = ndimage.distance_transform_edt(~level, return_distances=False, return_indices=True)
+    with np.errstate(invalid="ignore"):
+        falls = heights[tuple(nearest)] - heights >= EAVES_M
+    if np.count_nonzero(falls & ring) < EAVES_SHARE * np.count_nonzero(ring):
+        return None
+    rows, columns = np.nonzero(level)
+    system = np.column_stack((rows, columns, np.ones(rows.size)))
+    z = heights[level]
+    plane: Any = np.linalg.lstsq(system, z, rcond=None)[0]
+    rest = z - system @ plane
+    return width if float(np.sqrt(np.mean(rest * rest))) <= PLANE_M else None
