@@ -25,6 +25,13 @@ def small_buckets(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def finished_run(demo: DemoScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
-    """OUT and result of the whole job by the Python API. Not to be changed."""
+    """OUT and result of the whole job by the Python API, with a method of one pass. Not to be changed."""
     out = tmp_path_factory.mktemp("run") / "out"
+    return out, run([str(path) for path in demo.paths], out, settings(tile_size="128"))
+
+
+@pytest.fixture(scope="session")
+def default_run(demo: DemoScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
+    """The same with the default method."""
+    out = tmp_path_factory.mktemp("default") / "out"
     return out, run([str(path) for path in demo.paths], out, settings(tile_size="128", method="auto"))

@@ -20,8 +20,8 @@ from tiler.simulate import DemoScene
 Finished = tuple[Path, RunResult]
 
 
-def test_it_succeeds_and_leaves_what_it_says(finished_run: Finished, demo: DemoScene) -> None:
-    out, result = finished_run
+def test_it_succeeds_and_leaves_what_it_says(default_run: Finished, demo: DemoScene) -> None:
+    out, result = default_run
     assert result.exit_code == 0
     assert not result.did_nothing
     names = {"dtm.tif", *(f"classified/{path.name}" for path in demo.paths)}
@@ -38,8 +38,8 @@ def test_it_succeeds_and_leaves_what_it_says(finished_run: Finished, demo: DemoS
     assert not (out / "store.zarr" / "lock.json").exists()
 
 
-def test_the_dtm_is_a_valid_cog_of_the_inputs_crs(finished_run: Finished) -> None:
-    path = finished_run[0] / "dtm.tif"
+def test_the_dtm_is_a_valid_cog_of_the_inputs_crs(default_run: Finished) -> None:
+    path = default_run[0] / "dtm.tif"
     valid, errors, warnings = cog_validate(path, strict=True)
     assert (valid, errors, warnings) == (True, [], [])
     with rasterio.open(path) as raster:
@@ -55,18 +55,18 @@ def test_the_dtm_is_a_valid_cog_of_the_inputs_crs(finished_run: Finished) -> Non
     assert len(tags["TILER_INPUTS"]) == 32
 
 
-def test_the_terrain_is_the_true_one(finished_run: Finished, demo: DemoScene) -> None:
-    scores = evaluate_dtm(finished_run[0] / "dtm.tif", demo.dtm_path)
+def test_the_terrain_is_the_true_one(default_run: Finished, demo: DemoScene) -> None:
+    scores = evaluate_dtm(default_run[0] / "dtm.tif", demo.dtm_path)
     # Whole roofs of large buildings are the method's matter, see its own tests.
     assert abs(scores["median"]) < 0.02
     assert scores["nmad"] < 0.05
     for path, truth in zip(demo.paths, demo.truth_paths, strict=True):
-        assert evaluate_files(finished_run[0] / "classified" / path.name, truth)["total"] < 0.1
+        assert evaluate_files(default_run[0] / "classified" / path.name, truth)["total"] < 0.1
 
 
-def test_classified_clouds_are_the_inputs_but_for_the_class(finished_run: Finished, demo: DemoScene) -> None:
+def test_classified_clouds_are_the_inputs_but_for_the_class(default_run: Finished, demo: DemoScene) -> None:
     for path in demo.paths:
-        before, after = laspy.read(path), laspy.read(finished_run[0] / "classified" / path.name)
+        before, after = laspy.read(path), laspy.read(default_run[0] / "classified" / path.name)
         assert len(before) == len(after)
         for name in before.point_format.dimension_names:
             if name != "classification":
@@ -75,8 +75,8 @@ def test_classified_clouds_are_the_inputs_but_for_the_class(finished_run: Finish
         assert list(after.header.scales) == list(before.header.scales)
 
 
-def test_run_json_tells_what_was_done(finished_run: Finished, demo: DemoScene) -> None:
-    out, result = finished_run
+def test_run_json_tells_what_was_done(default_run: Finished, demo: DemoScene) -> None:
+    out, result = default_run
     content = json.loads((out / "run.json").read_text())
     assert content == json.loads(json.dumps(result.summary))
     assert content["state"] == "done"
@@ -98,8 +98,8 @@ def test_run_json_tells_what_was_done(finished_run: Finished, demo: DemoScene) -
     assert content["peak_rss_bytes"] > 50 << 20
 
 
-def test_events_tell_the_same(finished_run: Finished) -> None:
-    out, result = finished_run
+def test_events_tell_the_same(default_run: Finished) -> None:
+    out, result = default_run
     events = [json.loads(line) for line in (out / "events.jsonl").read_text().splitlines()]
     names = [event["event"] for event in events]
     assert names[-1] == "run_finished"
@@ -111,7 +111,7 @@ def test_events_tell_the_same(finished_run: Finished) -> None:
         assert len(done) == len(set(done)) == facts["tasks"]
 
 
-def test_the_command_line_does_the_same(finished_run: Finished, demo: DemoScene, tmp_path: Path) -> None:
+def test_the_command_line_does_the_same(default_run: Finished, demo: DemoScene, tmp_path: Path) -> None:
     out = tmp_path / "out"
     options = (
         "-o",
@@ -131,7 +131,7 @@ def test_the_command_line_does_the_same(finished_run: Finished, demo: DemoScene,
     assert first.returncode == 0, first.stderr
     assert "DTM" in first.stdout
     assert "Traceback" not in first.stderr
-    assert output_digests(out) == output_digests(finished_run[0])
+    assert output_digests(out) == output_digests(default_run[0])
     second = tiler("run", *demo.paths, *options, "--json", "-q")
     assert second.returncode == 0
     assert all(line.startswith("warning: ") for line in second.stderr.splitlines())
@@ -141,7 +141,7 @@ def test_the_command_line_does_the_same(finished_run: Finished, demo: DemoScene,
 
 
 def test_the_stages_one_by_one_are_the_whole_job(
-    finished_run: Finished, demo: DemoScene, tmp_path: Path
+    default_run: Finished, demo: DemoScene, tmp_path: Path
 ) -> None:
     from tests.invariants.runs import computed, do
 
@@ -151,4 +151,4 @@ def test_the_stages_one_by_one_are_the_whole_job(
     ):  # fmt: skip
         result = do(list(demo.paths), tmp_path / "out", until=until, tile_size="128", method="auto")
         assert {stage for stage, n in computed(result).items() if n} == stages
-    assert output_digests(tmp_path / "out") == output_digests(finished_run[0])
+    assert output_digests(tmp_path / "out") == output_digests(default_run[0])
