@@ -70,6 +70,6 @@ def test_every_command_works(page: Path, tmp_path: Path) -> None:
     for code, text in blocks(page):
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", text.replace(PORT, port)], cwd=folder,
-            env={**environment(), "PATH": path}, capture_output=True, text=True, check=False, timeout=300,
+            env={**environment(), "PATH": path}, capture_output=True, text=True, check=False, timeout=900,
         )  # fmt: skip
         assert done.returncode == code, f"{text}\n{done.stdout}\n{done.stderr}"

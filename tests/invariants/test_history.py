@@ -134,7 +134,7 @@ def test_an_eventful_history(
 @pytest.mark.parametrize(
     ("other", "step"),
     [
-        ("other pixels", 1),
+        ("other pixels", 4),
         pytest.param("as many other pixels", 1, marks=pytest.mark.slow),
         pytest.param("fewer files", 9, marks=pytest.mark.slow),
         pytest.param("other tiles", 9, marks=pytest.mark.slow),
@@ -164,7 +164,7 @@ def test_another_run_cut_off_at_each_write(
     assert writes > 10
 
 
-@pytest.mark.parametrize("other", ["other tiles", "two passes"])
+@pytest.mark.parametrize("other", ["other tiles", pytest.param("two passes", marks=pytest.mark.slow)])
 def test_there_and_back_again(
     other: str, quarter_files: list[Path], alone: Callable[[str], dict[str, str]], tmp_path: Path
 ) -> None:
