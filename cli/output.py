@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from bisect import bisect
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
+
+SHARES = (0.3, 0.75, 1.5)
+"""Of the median density, where the shades of a map end."""
 
 
 def print_json(value: Any) -> None:
@@ -37,6 +41,36 @@ def print_facts(facts: Mapping[str, Any]) -> None:
     """One line a fact, names aligned, nested facts below theirs; facts that are None are left out."""
     for line in fact_lines(facts):
         click.echo(line)
+
+
+def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
+    """A small map of shades, north up, and what they mean.
+
+    Parameters
+    ----------
+    density : mapping
+        As `tiler.info.density_map` gives it.
+    encoding : str or None
+        Of the terminal; shades are letters where it has no blocks.
+    """
+    rows = density["per_m2"]
+    found = sorted(value for row in rows for value in row if value > 0)
+    if not found:
+        return []
+    try:
+        "░▒▓█".encode(encoding or "ascii")
+        shades = "░▒▓█"
+    except (UnicodeEncodeError, LookupError):
+        shades = ".:*#"
+    middle = found[len(found) // 2]
+    limits = [share * middle for share in SHARES]
+    legend = ", ".join(f"{shade} below {limit:.2g}" for shade, limit in zip(shades, limits, strict=False))
+    lines = ["".join(" " if v <= 0 else shades[bisect(limits, v)] for v in row).rstrip() for row in rows]
+    return [
+        f"density map: points per m2, {legend}, {shades[-1]} more; a character is {density['width_m']:.3g} x "
+        f"{density['height_m']:.3g} m, north is up",
+        *(f"  {line}" for line in lines),
+    ]
 
 
 def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:

@@ -113,7 +113,7 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
     if where is None or widest <= 0.8 * building_m:
         return None
     x, y = _place(store, spec, *where)
-    wanted = math.ceil(1.2 * widest / 10) * 10
+    wanted = math.ceil(1.2 * max(widest, building_m) / 10) * 10
     return (
         f"the terrain holds what looks like a roof {widest:.0f} m wide, at x {x:.0f}, y {y:.0f}, and max_building_size "
         f"is {building_m:g} m; if it is one, use --set max_building_size={wanted}"

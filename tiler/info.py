@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
@@ -20,6 +21,9 @@ _CLOUDS = (".las", ".laz")
 _POINTS_PER_CELL = 16
 _MOST_CELLS = 1024
 """Of the raster that measures how much of the extent holds points: mean content, cells along a side at most."""
+
+_MAP_COLUMNS, _MAP_ROWS = 64, 24
+"""Of the map of density, at most."""
 
 _RUN_FACTS = ("state", "version", "counts", "filter", "dtm", "outputs", "quarantined", "failed_tasks", "seconds",
               "peak_rss_bytes")  # fmt: skip
@@ -115,7 +119,7 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
     extent, longer = (x1 - x0) * (y1 - y0), max(x1 - x0, y1 - y0)
     cell = max(math.sqrt(extent * _POINTS_PER_CELL / header.point_count), longer / _MOST_CELLS) or 1.0
     last = int(longer / cell)
-    occupied = np.zeros((last + 1, last + 1), np.bool_)
+    counts = np.zeros((last + 1, last + 1), np.int64)
     with PointReader(header, NEEDED) as reader:
         step = rows_at_once(header.record_length, _STEP)
         for start in range(0, header.point_count, step):
@@ -127,15 +131,42 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
             for i, low in ((1, y0), (0, x0)):
                 coordinate = records["XYZ"[i]] * header.scales[i] + header.offsets[i]
                 at.append(np.clip((coordinate - low) / cell, 0, last).astype(np.intp))
-            occupied[at[0], at[1]] = True
-    area = min(int(occupied.sum()) * cell**2, extent) * metres**2
+            counts += np.bincount(at[0] * (last + 1) + at[1], minlength=counts.size).reshape(counts.shape)
+    area = min(int(np.count_nonzero(counts)) * cell**2, extent) * metres**2
     bits = np.arange(256)
     return {
         "density_per_m2": header.point_count / area if area > 0 else None,
+        "density_map": density_map(counts, cell * metres),
         "classes": {str(c): int(n) for c, n in enumerate(classes) if n},
         "withheld_points": int(flagged[(bits & WITHHELD_FLAG) > 0].sum()),
         "synthetic_points": int(flagged[(bits & SYNTHETIC_FLAG) > 0].sum()),
     }
+
+
+def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> dict[str, Any]:
+    """Density in places as high as two are wide, which is how a terminal's characters are.
+
+    Parameters
+    ----------
+    counts : int64, shape (rows, columns)
+        Points in square cells, row 0 in the south.
+    cell_m : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    dict
+        ``width_m`` and ``height_m`` of a place, ``per_m2``: rows from north to south of points per square metre.
+    """
+    filled = np.argwhere(counts)
+    high, wide = filled.max(axis=0) + 1 if len(filled) else (1, 1)
+    times = max(math.ceil(wide / _MAP_COLUMNS), math.ceil(high / (2 * _MAP_ROWS)))
+    rows, columns = math.ceil(high / (2 * times)), math.ceil(wide / times)
+    padded = np.zeros((rows * 2 * times, columns * times), np.int64)
+    padded[:high, :wide] = counts[:high, :wide]
+    sums = padded.reshape(rows, 2 * times, columns, times).sum(axis=(1, 3))[::-1]
+    width = times * cell_m
+    return {"width_m": width, "height_m": 2 * width, "per_m2": (sums / (2 * width**2)).round(3).tolist()}
 
 
 def describe_store(url: str) -> dict[str, Any]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+
 import click
 
 from cli.options import json_option
-from cli.output import print_facts, print_json
+from cli.output import map_lines, print_facts, print_json
 from cli.session import TilerCommand
 
 
@@ -15,8 +17,8 @@ from cli.session import TilerCommand
 def command(path: str, as_json: bool) -> None:
     """What a cloud, a store, a result folder or a raster holds.
 
-    Extent, CRS and units; of a cloud its point count, density and classes (all points are read), of a store
-    its state, of a raster its size, nodata value and heights.
+    Extent, CRS and units; of a cloud its point count, classes and density, with a map of it (all points are read), of
+    a store its state, of a raster its size, nodata value and heights.
     """
     from tiler.info import describe
 
@@ -24,4 +26,8 @@ def command(path: str, as_json: bool) -> None:
     if as_json:
         print_json(facts)
     else:
+        density = facts.pop("density_map", None)
         print_facts(facts)
+        if density is not None:
+            for line in map_lines(density, sys.stdout.encoding):
+                click.echo(line)

@@ -11,7 +11,7 @@ import pytest
 
 from cli.commands.methods import range_text
 from cli.main import main
-from cli.output import fact_lines
+from cli.output import fact_lines, map_lines
 from cli.summary import score_lines, summary_lines
 from tiler.config import RunConfig
 
@@ -284,3 +284,14 @@ def test_simulate_lists_its_scenes_and_refuses_others(capsys: pytest.CaptureFixt
     assert "  dim_park " in shown
     assert main(["simulate", "a.laz", "--scene", "moon"]) == 2
     assert "unknown scene 'moon'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("encoding", "shades"), [("utf-8", "░▒▓█"), ("ascii", ".:*#"), (None, ".:*#")])
+def test_a_map_of_density_in_shades(encoding: str | None, shades: str) -> None:
+    density = {"width_m": 5.0, "height_m": 10.0, "per_m2": [[0, 4, 4, 4], [1, 2, 8, 0]]}
+    head, *rows = map_lines(density, encoding)
+    light, medium, dark, full = shades
+    assert rows == [f"   {dark * 3}", f"  {light}{medium}{full}"]
+    assert f"{light} below 1.2, {medium} below 3, {dark} below 6, {full} more" in head
+    assert "a character is 5 x 10 m, north is up" in head
+    assert map_lines({**density, "per_m2": [[0, 0]]}, encoding) == []

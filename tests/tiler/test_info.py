@@ -12,7 +12,7 @@ import rasterio
 from affine import Affine
 
 from tiler.errors import InputError
-from tiler.info import describe
+from tiler.info import density_map, describe
 
 
 def write_cloud(path: Path, side: float = 100.0, per_m2: int = 4, crs: str | None = "EPSG:25832") -> None:
@@ -119,3 +119,26 @@ def test_result_folder(tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{")
     with pytest.raises(InputError, match="not valid JSON"):
         describe(str(tmp_path))
+
+
+def test_the_map_of_density_is_north_up_and_keeps_every_point() -> None:
+    counts = np.zeros((10, 300), np.int64)
+    counts[0, 0], counts[9, 299], counts[4, 100] = 50, 5, 7
+    found = density_map(counts, 2.0)
+    per_m2 = np.array(found["per_m2"])
+    assert (found["width_m"], found["height_m"]) == (10.0, 20.0)  # five cells of 2 m wide, ten high
+    assert per_m2.shape == (1, 60)
+    assert (per_m2.sum() * 200) == pytest.approx(62, abs=0.3)
+    two = np.array(density_map(counts.T.copy(), 1.0)["per_m2"])
+    assert two[-1, 0] > 0  # row 0 of the counts is the southern one
+    assert two[0, -1] > 0
+
+
+def test_a_cloud_has_a_map(tmp_path: Path) -> None:
+    path = tmp_path / "a.laz"
+    write_cloud(path, side=100, per_m2=4)
+    found = describe(str(path))["density_map"]
+    inner = np.array(found["per_m2"])[1:-1, 1:-1]
+    assert np.median(inner) == pytest.approx(4, rel=0.1)
+    assert len(found["per_m2"][0]) <= 64
+    assert len(found["per_m2"]) <= 24
