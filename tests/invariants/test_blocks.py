@@ -46,7 +46,7 @@ def test_each_block_is_one_task_and_none_shows(quarter_files: list[Path], tmp_pa
     plan = make_plan([str(p) for p in quarter_files], settings(resolution="0.3"))
     store = the_store(out)
     assembled = Assembled.of(store.committed("assemble"))
-    labels = label_digests(plan, assembled, store.committed("filter0"))
+    labels = label_digests(assembled, store.committed("filter0"))
     spec = raster_spec(plan, assembled)
     tasks = list(grid_tasks(plan, assembled, labels, "dtm"))
     blocks = [Block(*task.arguments["block"]) for task in tasks]

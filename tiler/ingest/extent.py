@@ -22,6 +22,10 @@ _WIDEST = 1e6
 _COORDINATE = 9e12
 """Beyond this nothing is a coordinate, see `tiler.ingest.requantise.BEYOND`."""
 
+FEW = 10
+SHARE = 1000
+"""Strays are at most so few, and at most one in so many of their file."""
+
 FAR = 1000.0
 """Units of the CRS across which a point is far from another."""
 _TIMES = 4
@@ -54,10 +58,16 @@ class Extent:
     returns: int = 0
 
 
+def few(number: int, total: int) -> bool:
+    """Whether so many of a file's points can be strays."""
+    return number <= FEW and number * SHARE <= total
+
+
 def find_extent(header: LasHeader) -> Extent:
     """The bounds of a file.
 
-    The header's where a sample of points lies inside, else those of all points. Where they reach so far beyond
+    The header's where a sample of points fills them, but for a few strays, else those of all points. Where they
+    reach so far beyond
     the sample that there must be strays, or emptiness, they end with the sample: a plan made with them
     would be one for an area without points.
 
@@ -76,7 +86,10 @@ def find_extent(header: LasHeader) -> Extent:
         near = _Hull.of(header, sample)
         claim = _Hull(np.array(header.mins), np.array(header.maxs))
         note = None
-        claimed = bool(np.all(claim.high - claim.low <= _WIDEST)) and claim.holds(near, header.scales)
+        credible = bool(np.all(claim.high - claim.low <= _WIDEST))
+        claimed = credible and claim.holds(near, header.scales)
+        if credible and not claimed and _few_outside(header, sample, claim):
+            claimed, near = True, _Hull(np.maximum(near.low, claim.low), np.minimum(near.high, claim.high))
         if not claimed:
             step = rows_at_once(header.record_length, _SCAN)
             blocks = range(0, header.point_count, step)
@@ -95,6 +108,17 @@ def find_extent(header: LasHeader) -> Extent:
         [_plan_view(header, block) for block in sample], header.point_count, (*low[:2], *high[:2])
     )
     return Extent((*low, *high), claimed, note, patches, most)
+
+
+def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _Hull) -> bool:
+    """Whether in x and y no more points of a sample than can be strays lie outside of bounds that the rest fills."""
+    places = np.concatenate([_plan_view(header, records) for records in sample], axis=1)
+    tolerance = np.asarray(header.scales[:2])
+    low, high = claim.low[:2] - tolerance, claim.high[:2] + tolerance
+    inside = np.all((places >= low[:, None]) & (places <= high[:, None]), axis=0)
+    if not few(int(np.count_nonzero(~inside)), places.shape[1]):
+        return False
+    return bool(np.all(2 * np.ptp(places[:, inside], axis=1) >= high - low))
 
 
 def _plan_view(header: LasHeader, records: Records) -> Array:

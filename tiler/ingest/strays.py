@@ -17,11 +17,7 @@ import numpy.typing as npt
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock, unpack_origin
-from tiler.ingest.extent import FAR
-
-FEW = 10
-SHARE = 1000
-"""Strays are at most so few, and at most one in so many of their file."""
+from tiler.ingest.extent import FAR, few
 
 
 @dataclass(frozen=True)
@@ -47,11 +43,6 @@ class Strays:
             return None
         bounds = lattice.bounds(cell)
         return None if bounds.union(self.extent) == self.extent else self.extent.to_json()
-
-
-def few(number: int, total: int) -> bool:
-    """Whether so many of a file's points can be strays."""
-    return number <= FEW and number * SHARE <= total
 
 
 def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | None, outside: int) -> Strays:
