@@ -16,7 +16,9 @@ from tiler.plan.rates import projected_seconds
 @pytest.fixture
 def plan(make_cloud: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plan:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    small = make_plan([str(make_cloud("a.las", n=50))], RunConfig(in_process=True, workers=2))
+    small = make_plan(
+        [str(make_cloud("a.las", n=50))], RunConfig(method="classic", in_process=True, workers=2)
+    )
     return replace(small, points=4_000_000)
 
 
