@@ -1,10 +1,12 @@
 """Every filter on every scene with true labels: errors, speed, memory, and published figures, as Markdown.
 
-``python tests/benchmarks/scorecard.py docs/scorecard.md [--methods classic,auto] [--scenes samp] [--repeats 3]``
+``python tests/benchmarks/scorecard.py docs/scorecard.md [--methods classic,auto] [--scenes samp] [--repeats 3]
+[--json CARD.json] [--keep CARD.json]``
 
 All on one pinned core with compiled kernels: a first run of each filter on each scene gives the labels and
 compiles, the fastest of the further ones is the time. Filters see no label, noise and water included. Scenes come
-from ``../shared/data`` as far as they are there, and from the simulator.
+from ``../shared/data`` as far as they are there, and from the simulator. Where the ISPRS samples are there, `auto` is
+also chosen on all of them but one and scored on that one (`tests.benchmarks.leave_one_out`).
 """
 
 from __future__ import annotations
@@ -28,8 +30,9 @@ if __name__ == "__main__":
 from ptd import classify
 from ptd.methods import METHODS
 from ptd.tin import Pixels, Tin, rasterise
+from tests.benchmarks.leave_one_out import leave_one_out
 from tests.benchmarks.peers import installed_peers
-from tests.benchmarks.scorecard_scenes import BenchScene, Cloud, real_scenes, simulated_scenes
+from tests.benchmarks.scorecard_scenes import ISPRS_SAMPLES, BenchScene, Cloud, real_scenes, simulated_scenes
 from tests.benchmarks.scorecard_text import markdown
 from tiler.evaluate import IGNORED, evaluate_labels
 
@@ -160,6 +163,18 @@ def run_all(
     return cells
 
 
+def with_kept(cells: Sequence[Cell], kept: Sequence[Cell]) -> list[Cell]:
+    """Cells of now and those of an earlier run that were not measured again, scene by scene, `classic` first."""
+    now = {(c.scene, c.method) for c in cells}
+    both = [*cells, *(c for c in kept if (c.scene, c.method) not in now)]
+    scenes = list(dict.fromkeys(c.scene for c in (kept or cells)))
+    scenes += [c.scene for c in cells if c.scene not in scenes]
+    peers = [c.method for c in both if c.method not in METHODS]
+    return sorted(
+        both, key=lambda c: (scenes.index(c.scene), c.method in peers, c.method != REFERENCE, c.method)
+    )
+
+
 def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | None = None) -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description="Write the scorecard.")
@@ -167,6 +182,9 @@ def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | 
     parser.add_argument("--json", type=Path, help="the figures as JSON, too")
     parser.add_argument("--methods", help="only these, with commas")
     parser.add_argument("--scenes", help="only scenes whose name or family holds this text")
+    parser.add_argument(
+        "--keep", type=Path, help="JSON of an earlier run, for all that is not measured again"
+    )
     parser.add_argument("--repeats", type=int, default=3, help="timed runs of each")
     given = parser.parse_args(arguments)
     filters = all_filters()
@@ -178,7 +196,11 @@ def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | 
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     cells = run_all(chosen, filters, given.repeats, lambda line: print(line, file=sys.stderr, flush=True))
-    given.out.write_text(markdown(cells, REFERENCE, given.repeats), encoding="utf-8")
+    if given.keep is not None:
+        cells = with_kept(cells, [Cell(**c) for c in json.loads(given.keep.read_text(encoding="utf-8"))])
+    samples = {s.name: s.load() for s in chosen if s.family == ISPRS_SAMPLES}
+    chosen_without = leave_one_out(samples) if "auto" in filters and len(samples) > 1 else None
+    given.out.write_text(markdown(cells, REFERENCE, given.repeats, chosen_without), encoding="utf-8")
     if given.json is not None:
         given.json.write_text(json.dumps([asdict(c) for c in cells], indent=1) + "\n", encoding="utf-8")
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from tests.benchmarks.published import MEANS, PER_SAMPLE, RMSES
 
 if TYPE_CHECKING:
+    from tests.benchmarks.leave_one_out import LeaveOneOut
     from tests.benchmarks.scorecard import Cell
 
 HEAD = """# Scorecard
@@ -27,7 +28,7 @@ peak.
 ERRORS = "Type I / type II / total / kappa"
 
 
-def markdown(cells: Sequence[Cell], reference: str, repeats: int) -> str:
+def markdown(cells: Sequence[Cell], reference: str, repeats: int, chosen: LeaveOneOut | None = None) -> str:
     """The whole document.
 
     Parameters
@@ -37,12 +38,16 @@ def markdown(cells: Sequence[Cell], reference: str, repeats: int) -> str:
         The method whose time the others' are compared with.
     repeats : int
         Timed runs of each.
+    chosen : LeaveOneOut, optional
+        `auto` chosen on all samples but one.
     """
     families = list(dict.fromkeys(cell.family for cell in cells))
     parts = [HEAD.format(repeats=repeats), "## Means over the scenes of a class\n", _means(cells, families)]
     for group in dict.fromkeys(cell.group for cell in cells):
         parts += [f"## {_capital(group)}\n", _scenes([c for c in cells if c.group == group])]
     parts += ["## Speed and memory\n", _speed(cells, reference)]
+    if chosen is not None:
+        parts += ["## `auto`, chosen on all ISPRS samples but one\n", _chosen(chosen)]
     refusals = {(c.method, c.refusal): c for c in cells if c.refusal is not None}
     if refusals:
         parts += ["## What refused, and why\n", _refusals(cells)]
@@ -144,10 +149,10 @@ def _speed(cells: Sequence[Cell], reference: str) -> str:
         ("bytes a point", lambda c: _over(c.peak_bytes, c.points)),
     )
     rows = []
-    for group in dict.fromkeys(cell.group for cell in cells):
-        row = [group]
+    for family in dict.fromkeys(cell.family for cell in cells):
+        row = [family]
         for method in _methods(cells):
-            own = [c for c in cells if (c.method, c.group) == (method, group) and c.refusal is None]
+            own = [c for c in cells if (c.method, c.family) == (method, family) and c.refusal is None]
             figures = []
             for _, figure in kinds:
                 values = [v for cell in own if (v := figure(cell)) is not None]
@@ -155,7 +160,26 @@ def _speed(cells: Sequence[Cell], reference: str) -> str:
             row.append(" / ".join(figures))
         rows.append(row)
     note = " / ".join(name for name, _ in kinds)
-    return f"{note}; medians over the scenes.\n\n" + table(["scenes", *_methods(cells)], rows)
+    return f"{note}; medians over the scenes of a class.\n\n" + table(["class", *_methods(cells)], rows)
+
+
+def _chosen(found: LeaveOneOut) -> str:
+    """What each sample got from the settings that were best on the others."""
+    grid = "; ".join(f"`{name}` {', '.join(f'{v:g}' for v in values)}" for name, values in found.grid.items())
+    rows = [
+        [fold.sample, ", ".join(f"{k} {v:g}" for k, v in fold.settings.items()) or "the default",
+         percent(fold.default), percent(fold.total)]
+        for fold in found.folds
+    ]  # fmt: skip
+    default, left_out = mean(f.default for f in found.folds), mean(f.total for f in found.folds)
+    rows.append(["mean", "", percent(default), percent(left_out)])
+    return (
+        f"Total error. All {found.settings} settings of this grid, declared beforehand (the default is in its middle): "
+        f"{grid}. For each sample the setting with the least mean error on the others was taken, and scored on it: "
+        f"{percent(left_out)} against {percent(default)} with the default, {100 * (left_out - default):+.2f} points. "
+        f"The best of the grid on all samples, chosen with hindsight: {percent(found.best)}.\n\n"
+        + table(["sample", "what was best on the others", "default", "left out"], rows)
+    )
 
 
 def _over(part: float | None, whole: float | None) -> float | None:

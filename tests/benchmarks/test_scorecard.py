@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.benchmarks import scorecard
+from ptd.methods.auto import Auto
+from tests.benchmarks import leave_one_out, scorecard
 from tests.benchmarks.published import PER_SAMPLE
 from tests.benchmarks.scorecard_scenes import BenchScene, Cloud, read_clouds
-from tests.benchmarks.scorecard_text import table
+from tests.benchmarks.scorecard_text import markdown, table
 
 
 def plain() -> Cloud:
@@ -64,6 +65,44 @@ def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert "refused 2 of 2" in text
     assert "- `picky` on house, again: needs rgb" in text
     assert "28.21" in text  # published
+
+
+def test_what_an_earlier_run_measured_stands_beside_what_is_measured_now() -> None:
+    old = [
+        scorecard.Cell(method, scene, "tiny", "simulated things", 9, total=0.5)
+        for scene in ("again", "house")
+        for method in ("rarefy", "classic")
+    ]
+    new = [scorecard.Cell("rarefy", "house", "tiny", "simulated things", 9, total=0.25)]
+    both = scorecard.with_kept(new, old)
+    assert [(c.scene, c.method, c.total) for c in both] == [
+        ("again", "classic", 0.5), ("again", "rarefy", 0.5), ("house", "classic", 0.5), ("house", "rarefy", 0.25),
+    ]  # fmt: skip
+
+
+def test_each_sample_is_scored_with_what_is_best_on_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = {("a", 1): 0.3, ("a", 2): 0.0, ("b", 1): 0.1, ("b", 2): 0.2, ("c", 1): 0.1, ("c", 2): 0.1}
+    monkeypatch.setattr(
+        leave_one_out, "total_error", lambda cloud, settings: errors[cloud, settings["rounds"] // 4]
+    )
+    clouds = {name: name for name in "abc"}
+    found = leave_one_out.leave_one_out(clouds, {"rounds": (8, 4)})  # type: ignore[arg-type]
+    assert [(f.sample, f.settings, f.total, f.default) for f in found.folds] == [
+        ("a", {}, 0.3, 0.3),  # 4 rounds are better on b and c
+        ("b", {"rounds": 8}, 0.2, 0.1),
+        ("c", {"rounds": 8}, 0.1, 0.1),
+    ]
+    assert found.best == pytest.approx(0.1)
+    text = markdown([], "classic", 1, found)
+    assert "20.00 against 16.67 with the default, +3.33 points" in text
+    assert "| b | rounds 8 | 10.00 | 20.00 |" in text
+
+
+def test_the_default_is_in_the_middle_of_the_grid() -> None:
+    default = Auto()
+    for name, values in leave_one_out.default_grid().items():
+        assert values[1] == getattr(default, name)
+        assert values[0] < values[1] < values[2]
 
 
 def test_every_method_is_a_filter() -> None:

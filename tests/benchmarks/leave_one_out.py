@@ -1,0 +1,93 @@
+"""`auto` with the setting of a small grid that is best on all samples but one, scored on that one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+from statistics import mean
+from typing import Any
+
+import numpy as np
+
+from ptd import classify
+from ptd.methods.auto import Auto
+from tests.benchmarks.scorecard_scenes import Cloud
+from tiler.evaluate import IGNORED, evaluate_labels
+
+MAIN_SETTINGS = ("max_building_size_m", "seed_rise", "residual_rise", "label_floor_m")
+"""One of each step: openings, seeds, what is taken out again, the last pass."""
+
+FACTORS = (0.75, 1.0, 1.25)
+"""Of their defaults."""
+
+GROUND = 2
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A sample left out: what was best on the others, and total errors (fractions) of that and of the default."""
+
+    sample: str
+    settings: dict[str, float]
+    total: float
+    default: float
+
+
+@dataclass(frozen=True)
+class LeaveOneOut:
+    """All samples in turn.
+
+    Attributes
+    ----------
+    grid : dict
+        Values by name of the setting.
+    settings : int
+        How many combinations there are.
+    folds : list of Fold
+    best : float
+        Least mean total error of one combination on all samples.
+    """
+
+    grid: dict[str, tuple[float, ...]]
+    settings: int
+    folds: list[Fold]
+    best: float
+
+
+def default_grid() -> dict[str, tuple[float, ...]]:
+    """Each of `MAIN_SETTINGS` times each of `FACTORS`."""
+    default = Auto()
+    return {name: tuple(round(f * getattr(default, name), 4) for f in FACTORS) for name in MAIN_SETTINGS}
+
+
+def leave_one_out(
+    samples: Mapping[str, Cloud], grid: Mapping[str, tuple[float, ...]] | None = None
+) -> LeaveOneOut:
+    """Score all combinations on all samples, then choose for each sample without it; ties go to the default.
+
+    Parameters
+    ----------
+    samples : mapping
+        Two or more clouds by name.
+    grid : mapping, optional
+        Values by name of a parameter of `auto`, its default among them; `default_grid`.
+    """
+    chosen = dict(grid or default_grid())
+    default = {name: getattr(Auto(), name) for name in chosen}
+    combinations = [dict(zip(chosen, values, strict=True)) for values in product(*chosen.values())]
+    combinations.sort(key=lambda c: c != default)  # a stable sort: the default first
+    totals = np.array([[total_error(cloud, c) for cloud in samples.values()] for c in combinations])
+    folds = []
+    for k, name in enumerate(samples):
+        first = int(np.delete(totals, k, axis=1).mean(axis=1).argmin())
+        changed = {p: v for p, v in combinations[first].items() if v != default[p]}
+        folds.append(Fold(name, changed, float(totals[first, k]), float(totals[0, k])))
+    return LeaveOneOut(chosen, len(combinations), folds, min(mean(row) for row in totals.tolist()))
+
+
+def total_error(cloud: Cloud, settings: Mapping[str, Any]) -> float:
+    """Of `auto` with these parameters, as a fraction of the points that count."""
+    found = classify(cloud.xyz, "auto", Auto(**settings), rgb=cloud.rgb, returns=cloud.returns).classification
+    labels = np.where(found == GROUND, GROUND, 1).astype(np.uint8)
+    return float(evaluate_labels(labels, cloud.classification, IGNORED)["total"])
