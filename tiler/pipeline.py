@@ -27,6 +27,7 @@ from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
 from tiler.plan import KEEP, Plan, crs_name, make_plan, refuse, remember
 from tiler.rasters import export, grid
+from tiler.report import earlier_outputs
 from tiler.report.html import NAME as REPORT
 from tiler.report.html import write_report
 from tiler.schedule import Task
@@ -104,6 +105,7 @@ def _locked_run(
     for text in plan.warnings:
         listener("warning", {"text": text})
     job = Job(plan, out, store, listener, lease=lease)
+    job.facts["earlier_outputs"] = earlier_outputs(out)
     try:
         _healing_stages(job, until)
     except BaseException:
@@ -113,6 +115,10 @@ def _locked_run(
     finally:
         if job.executor is not None:
             job.executor.close()
+    if until != "export" and job.computed and job.facts["earlier_outputs"]:
+        job.note(
+            f"files in {out} are those of an earlier run until `tiler export` or `tiler run` writes them anew"
+        )
     job.facts["seconds"] = round(time.monotonic() - started, 3)
     remember(plan, job.stages)
     summary = _report(job)

@@ -14,6 +14,7 @@ from tiler.advice import roofs_in_terrain
 from tiler.core.lattice import Cell
 from tiler.core.products import MASK_VALUES
 from tiler.core.raster import RasterSpec
+from tiler.earlier import put_aside
 from tiler.errors import ProcessingError
 from tiler.file_tasks import cog_tasks, mosaic_tasks
 from tiler.job import Commits, Job
@@ -21,6 +22,9 @@ from tiler.plan import GRID_BLOCK, KEEP
 from tiler.product_tasks import WHOLE, Gridding, raster_tasks, wanted
 from tiler.schedule import Task, digest_of
 from tiler.tasks import Assembled, Source, classified_tasks
+
+RASTERS = (".tif", ".vrt")
+"""Files of rasters among what is written; their tasks have the names of the files as keys."""
 
 
 def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
@@ -99,23 +103,37 @@ def export(
         Path(folder).mkdir(exist_ok=True)
     if config.method != KEEP:
         tasks += classified_tasks(job.plan, sources, spooled, labels, out)
-    job.facts["outputs"] = {}
-    rasters = _write(job, "export", tasks, out)
     mosaics = list(mosaic_tasks(gridding, digest, out))
+    basis = _basis(gridding)
+    written = {key: str(path.relative_to(out)) for key, path in _files([*tasks, *mosaics]).items()}
+    put_aside(job, written.values(), basis)
+    rasters = _write(job, "export", tasks, out)
     if mosaics or job.store.committed("mosaic"):
         rasters &= _write(job, "mosaic", mosaics, out)
+    job.facts["made_of"] |= {path: basis for key, path in written.items() if key.endswith(RASTERS)}
+    job.facts["earlier_outputs"] = {}
     if not rasters:
         raise ProcessingError(f"{job.failed[-1]['key']} could not be written: {job.failed[-1]['error']}")
 
 
-def _write(job: Job, stage: str, tasks: list[Task], out: Path) -> bool:
-    """Write files that are not there; whether all rasters among them are."""
-    files = {
-        t.key: Path(t.arguments["out"]) / t.key
-        if t.key.endswith((".tif", ".vrt"))
-        else Path(t.arguments["out"])
+def _basis(gridding: Gridding) -> str:
+    """What the products are made of: points, labels, and settings that more than their files' form depends on."""
+    config = gridding.plan.config
+    terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
+    return digest_of(terrain, config.voids, str(config.spike), str(config.sheets))
+
+
+def _files(tasks: list[Task]) -> dict[str, Path]:
+    """What each task writes."""
+    return {
+        t.key: Path(t.arguments["out"]) / t.key if t.key.endswith(RASTERS) else Path(t.arguments["out"])
         for t in tasks
     }
+
+
+def _write(job: Job, stage: str, tasks: list[Task], out: Path) -> bool:
+    """Write files that are not there; whether all rasters among them are."""
+    files = _files(tasks)
     known = {k: r["bytes"] for k, (_, r) in job.store.committed(stage).items() if k in files}
     gone = [k for k, size in known.items() if not (files[k].exists() and files[k].stat().st_size == size)]
     job.take_back(stage, gone)
@@ -126,4 +144,4 @@ def _write(job: Job, stage: str, tasks: list[Task], out: Path) -> bool:
     for _, record in written.values():
         for text in record.get("notes", ()):
             job.note(text)
-    return all(key in written for key in files if key.endswith((".tif", ".vrt")))
+    return all(key in written for key in files if key.endswith(RASTERS))

@@ -51,3 +51,19 @@ def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> di
             "use the same --method and --set"
         )
     return dict(statistics)
+
+
+def earlier_outputs(out: Path) -> dict[str, str | None]:
+    """Files that earlier runs wrote in ``out``, by their path in it, and what each was made of (see `tiler.earlier`).
+
+    Empty where there was no run, or its run.json cannot be read.
+    """
+    try:
+        found = json.loads((out / "run.json").read_text(encoding="utf-8"))
+        made_of = found.get("made_of", {})
+        return {
+            **found.get("earlier_outputs", {}),
+            **{path: made_of.get(path) for path in found.get("outputs", {})},
+        }
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}

@@ -1,0 +1,102 @@
+"""What an earlier run left in OUT is current or put aside, never old and in its place."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.invariants import clouds
+from tests.invariants.runs import do
+
+BOTH = "dtm,slope"
+
+
+@pytest.fixture
+def cloud(tmp_path: Path) -> Path:
+    return clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
+
+
+def rasters(out: Path) -> set[str]:
+    return {str(path.relative_to(out)) for path in out.rglob("*.tif") if "store.zarr" not in path.parts}
+
+
+def test_a_product_of_the_same_settings_stays(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    do(cloud, out, products=BOTH)
+    before = (out / "slope.tif").read_bytes()
+    for _ in range(2):
+        result = do(cloud, out)
+        assert set(result.summary["outputs"]) == {"dtm.tif", "slope.tif", "classified/hill.laz"}
+        assert (out / "slope.tif").read_bytes() == before
+    do(cloud, out, products="hillshade")
+    assert rasters(out) == {"dtm.tif", "slope.tif", "hillshade.tif"}
+
+
+def test_a_product_of_other_settings_is_put_aside_and_told(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    do(cloud, out, products=BOTH)
+    before = (out / "slope.tif").read_bytes()
+    result = do(cloud, out, parameters={"iteration_distance": "1.2"}, resolution="2")
+    assert rasters(out) == {"dtm.tif", "outdated/slope.tif"}
+    assert (out / "outdated" / "slope.tif").read_bytes() == before
+    assert set(result.summary["outputs"]) == {"dtm.tif", "classified/hill.laz"}
+    (note,) = [text for text in result.summary["notes"] if "moved" in text]
+    assert note.startswith("slope.tif: of an earlier run with other settings or inputs")
+    assert result.summary["earlier_outputs"] == {}
+    again = do(cloud, out, products=BOTH, resolution="2", overwrite=True)
+    assert "slope.tif" in again.summary["outputs"]
+    assert not [text for text in again.summary["notes"] if "moved" in text]
+
+
+def test_files_give_way_to_sheets_and_labels_to_the_inputs_own(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    do(cloud, out)
+    do(cloud, out, sheets="40", method="keep", ground_classes="1")
+    assert not (out / "classified").exists()
+    assert (out / "outdated" / "classified" / "hill.laz").is_file()
+    assert (out / "outdated" / "dtm.tif").is_file()
+    assert (out / "dtm.vrt").is_file()
+    do(cloud, out)
+    assert (out / "dtm.tif").is_file()
+    assert not (out / "dtm").exists()
+    assert list((out / "outdated" / "dtm").glob("dtm_*.tif"))
+
+
+def test_what_an_interrupted_export_left_is_not_taken_for_current(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    do(cloud, out, products=BOTH)
+
+    def killed(*arguments: object) -> bool:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tiler.rasters._write", killed)
+    with pytest.raises(KeyboardInterrupt):
+        do(cloud, out, products=BOTH, max_edge="3")
+    monkeypatch.undo()
+    found = json.loads((out / "run.json").read_text())
+    assert "slope.tif" in found["earlier_outputs"]
+    do(cloud, out, max_edge="3")
+    assert rasters(out) == {"dtm.tif", "outdated/slope.tif"}
+
+
+def test_an_early_stage_says_whose_files_these_are(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    do(cloud, out)
+    assert not do(cloud, out, until="filter").summary["notes"]
+    found = do(cloud, out, until="filter", parameters={"iteration_distance": "1.2"}).summary
+    assert found["notes"][-1].startswith(f"files in {out} are those of an earlier run until `tiler export`")
+    assert "dtm.tif" in found["earlier_outputs"]
+
+
+def test_a_list_that_leads_elsewhere_moves_nothing(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    precious = tmp_path / "precious.tif"
+    precious.write_bytes(b"mine")
+    (out / "run.json").write_text(json.dumps({"outputs": {"../precious.tif": 4, str(precious): 4}}))
+    do(cloud, out)
+    assert precious.read_bytes() == b"mine"

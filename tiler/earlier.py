@@ -1,0 +1,78 @@
+"""Files of earlier runs in OUT: what still holds stays, the rest is put aside, so that nothing old looks current.
+
+A run writes the products that it is asked for. Those of an earlier run that it is not asked for hold as long as points,
+labels and settings of the rasters are the same; else they go to ``OUT/outdated``, and so do classified files of inputs
+that the run has not. run.json lists what a run wrote (``outputs``), what its rasters were made of (``made_of``), and
+until the export has dealt with them the files of earlier runs (``earlier_outputs``).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from contextlib import suppress
+from pathlib import Path
+
+from tiler.errors import refused_write
+from tiler.job import Job
+
+ASIDE = "outdated"
+"""Folder in OUT."""
+
+NAMED = 5
+"""Files that the note names; the others are counted."""
+
+
+def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
+    """Move what no longer holds; what does is listed in ``outputs``, as are no files yet of this run.
+
+    Parameters
+    ----------
+    job : Job
+    wanted : collection of str
+        Files that this run writes, as paths in OUT. They are known from now on, but not what they are made of, so
+        that a run that is killed while it writes leaves nothing that later runs take for theirs.
+    basis : str
+        What the rasters of this run are made of.
+
+    Raises
+    ------
+    ProcessingError
+        A file cannot be moved.
+    """
+    earlier = job.facts["earlier_outputs"]
+    there = {
+        p: of
+        for p, of in earlier.items()
+        if p not in wanted and _inside(job.out, p) and (job.out / p).is_file()
+    }
+    stale = sorted(path for path, of in there.items() if of != basis)
+    for path in stale:
+        _move(job.out, path)
+    kept = [path for path in there if path not in stale]
+    job.facts["outputs"] = {path: (job.out / path).stat().st_size for path in kept}
+    job.facts["made_of"] = dict.fromkeys(kept, basis)
+    job.facts["earlier_outputs"] = dict.fromkeys(wanted)
+    if stale:
+        more = f" and {len(stale) - NAMED:,} more" if len(stale) > NAMED else ""
+        job.note(
+            f"{', '.join(stale[:NAMED])}{more}: of an earlier run with other settings or inputs, and not of this one; "
+            f"moved to {ASIDE}/"
+        )
+    job.save("running")
+
+
+def _inside(out: Path, path: str) -> bool:
+    """Whether a path that a file named leads nowhere else."""
+    return (out / path).resolve().is_relative_to(out.resolve())
+
+
+def _move(out: Path, path: str) -> None:
+    source, target = out / path, out / ASIDE / path
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(source, target)
+    except OSError as error:
+        raise refused_write(str(target), error, out) from error
+    with suppress(OSError):  # the folder of a product's sheets, unless it still holds any
+        source.parent.rmdir()
