@@ -207,6 +207,14 @@ def test_help_imports_nothing_heavy() -> None:
         assert done.stderr.strip() == "[]"
 
 
+def test_only_a_run_imports_dask() -> None:
+    script = "import sys, tiler.classify, tiler.info, tiler.pipeline; print('distributed' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"
+
+
 def test_as_a_process() -> None:
     done = tiler("info", "nowhere.laz")
     assert done.returncode == 3

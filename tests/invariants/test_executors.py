@@ -11,7 +11,7 @@ import distributed
 import pytest
 
 from tests.invariants.runs import do, output_digests
-from tiler.schedule import Executor, LocalExecutor, Outcome, Perform, SerialExecutor, Task
+from tiler.schedule import Executor, Outcome, Perform, SerialExecutor, Task
 from tiler.schedule.workers import DaskExecutor
 
 
@@ -36,24 +36,24 @@ class Twice(SerialExecutor):
             yield perform(store_url, task)
 
 
-class OnDask(DaskExecutor):
-    """A cluster of two workers, as far as this machine can have one."""
+class OnCluster(DaskExecutor):
+    """Two workers in processes of their own, as far as this machine can have a cluster."""
 
     def __init__(self) -> None:
-        self.cluster: Any = distributed.LocalCluster(
+        self.processes: Any = distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
         )
-        super().__init__(self.cluster.scheduler_address)
+        super().__init__(2, self.processes.scheduler_address)
 
     def close(self) -> None:
         super().close()
-        self.cluster.close()
+        self.processes.close()
 
 
 EXECUTORS: dict[str, Callable[[], Executor]] = {
-    "one worker": lambda: LocalExecutor(1),
-    "two workers": lambda: LocalExecutor(2),
-    "two Dask workers": OnDask,
+    "one worker": lambda: DaskExecutor(1),
+    "two workers": lambda: DaskExecutor(2),
+    "a cluster of two": OnCluster,
     "another order": lambda: Shuffled(1),
     "one more order": lambda: Shuffled(2),
     "twice": Twice,

@@ -1,9 +1,8 @@
-"""Small and equal executors: in this process, on processes of this machine, or on a Dask cluster."""
+"""Small and equal executors: in this process, or on Dask workers, of this machine or of a cluster."""
 
 from __future__ import annotations
 
 from tiler.schedule.guard import Died, Guard
-from tiler.schedule.local import LocalExecutor
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import TRIES, Executor, Limits, Outcome, Perform, Task, Work, digest_of
 
@@ -13,7 +12,6 @@ __all__ = [
     "Executor",
     "Guard",
     "Limits",
-    "LocalExecutor",
     "Outcome",
     "Perform",
     "SerialExecutor",
@@ -27,14 +25,12 @@ __all__ = [
 def make_executor(
     workers: int, address: str | None = None, in_process: bool = False, limits: Limits | None = None
 ) -> Executor:
-    """Make one on processes of this machine, on a Dask cluster (imported only then), or in this process.
+    """Make one on Dask workers (imported only then), of this machine or of a cluster, or in this process.
 
-    Also one worker is a process of its own: what crashes it must not end the run.
+    Also one worker works in a process of its own: what crashes it must not end the run.
     """
     if in_process:
         return SerialExecutor()
-    if address is None:
-        return LocalExecutor(workers, limits)
     from tiler.schedule.workers import DaskExecutor
 
-    return DaskExecutor(address, limits)
+    return DaskExecutor(workers, address, limits)

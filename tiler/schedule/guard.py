@@ -43,7 +43,8 @@ class Guard:
     """
 
     def __init__(self, memory_bytes: int | None = MEMORY_BYTES) -> None:
-        self._memory = memory_bytes
+        self.memory_bytes = memory_bytes
+        self.killed = False
         self._child: subprocess.Popen[bytes] | None = None
         self._began = 0.0
         self._seconds = 0.0
@@ -57,16 +58,7 @@ class Guard:
         self.close()
 
     def call(self, function: Callable[..., Result], *arguments: Any, seconds: float) -> Result:
-        """``function(*arguments)``, as the child computes it: `start` and `result`."""
-        try:
-            self.start(function, *arguments, seconds=seconds)
-            return self.result()  # type: ignore[no-any-return]  # pickle has no types
-        except KeyboardInterrupt:
-            self.close()  # it still works on this call: its answer must not be taken for the next one's
-            raise
-
-    def start(self, function: Callable[..., Any], *arguments: Any, seconds: float) -> None:
-        """Let the child begin with a call; there is one at a time.
+        """``function(*arguments)``, as the child computes it; one call at a time.
 
         Parameters
         ----------
@@ -74,29 +66,38 @@ class Guard:
             Of a module (it travels by name); arguments and result are pickled.
         seconds : float
             After which the child is taken for hung, and ends.
+
+        Raises
+        ------
+        Died
+            The child crashed, hung, ran out of memory, or was ended by `kill`. The next call gets a new one.
+        Exception
+            What the function raised.
         """
+        try:
+            self._ask(function, arguments, seconds)
+            return self._answer()  # type: ignore[no-any-return]  # pickle has no types
+        except KeyboardInterrupt:
+            self.close()  # it still works on this call: its answer must not be taken for the next one's
+            raise
+
+    def _ask(self, function: Callable[..., Any], arguments: tuple[Any, ...], seconds: float) -> None:
+        """Let the child begin with a call."""
         if self._child is None:
-            self._child = _child(self._memory)
+            self._child = _child(self.memory_bytes)
+        if self.killed:
+            self._child.kill()  # it was not there yet when it was to be
         self._began, self._seconds = time.monotonic(), seconds
         try:
             call = pickle.dumps((function, arguments, seconds))
             _pipe(self._child.stdin).write(SIZE.pack(len(call)) + call)
             _pipe(self._child.stdin).flush()
         except OSError:
-            return  # it died while it waited: `result` says so
+            return  # it died while it waited: `_answer` says so
 
-    def result(self) -> Any:
-        """What the call gave; waits for it.
-
-        Raises
-        ------
-        Died
-            The child crashed, hung, or ran out of memory. The next call gets a new one.
-        Exception
-            What the function raised.
-        """
-        if self._child is None:
-            raise Died("was ended")
+    def _answer(self) -> Any:
+        """What the call gave; waits for it."""
+        assert self._child is not None  # it was just asked
         try:
             fine, result = pickle.load(_pipe(self._child.stdout))  # written by our own child
         except (EOFError, OSError, pickle.UnpicklingError):
@@ -106,12 +107,15 @@ class Guard:
             return result
         if isinstance(result, MemoryError):
             self.close()
-            raise Died(f"needs more than the {(self._memory or 0) >> 20} MiB of memory that it may have")
+            raise Died(f"needs more than the {(self.memory_bytes or 0) >> 20} MiB of memory that it may have")
         raise result
 
-    def fileno(self) -> int:
-        """Of the pipe that becomes readable when `result` need not wait; while a call is under way."""
-        return -1 if self._child is None else _pipe(self._child.stdout).fileno()
+    def kill(self) -> None:
+        """End the child from another thread than the one that calls, which learns of it by `Died`; for good."""
+        self.killed = True
+        child = self._child
+        if child is not None:
+            child.kill()
 
     def close(self) -> None:
         """End the child, if there is one, whatever it does."""

@@ -1,52 +1,45 @@
-"""Tasks on the workers of a Dask cluster that runs already.
+"""Tasks on Dask workers: of this machine, in the command's own process, or of a cluster that runs already.
 
-No graph of all tasks is ever made: a few tasks a worker are in flight, the next is submitted when one is done.
-
-Tasks that fail are tried again. Dask knows that a worker died, but not which of its tasks
-killed it: all of them are suspects, which are tried once more when the others are done, each one alone, so that the
-tasks that kill are known, and no others are given up.
+No graph of all tasks is ever made: a few tasks a worker are in flight, the next is submitted when one is done. What a
+worker does with a task is in `tiler.schedule.children`; a task that fails is tried again.
 """
 
 from __future__ import annotations
 
-import faulthandler
-import itertools
 import logging
-import os
 import time
-from collections import Counter
+import uuid
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+import dask
 import distributed
 from distributed import KilledWorker
 
-from tiler.errors import ConfigError
-from tiler.schedule.local import WORKER_DIED
+from tiler.errors import ConfigError, ProcessingError
+from tiler.schedule.children import WORKER_DIED, Run, end_children, perform_in_child
+from tiler.schedule.here import cluster_here
 from tiler.schedule.task import TRIES, Limits, Outcome, Perform, Task
 
-IN_FLIGHT_PER_WORKER = 2
-"""One at work and one waiting, so that no worker idles while the client hears of a result."""
+WAITING_PER_WORKER = 1
+"""Tasks of a cluster that wait at their worker, so that it does not idle while the client hears of a result."""
 
 CONNECT_SECONDS = 20
+CLOSE_SECONDS = 5
+LOOK_SECONDS = 5.0
+"""Workers that joined a cluster get their share after this time."""
+
+_QUIET = {
+    "distributed.worker.profile.enabled": False,  # it looks at every thread a hundred times a second
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+}
+"""What Dask measures of the command's own process, and nobody looks at."""
 
 _dask: Any = distributed
 """Its functions have no types."""
-
-
-def _watched(perform: Perform, store_url: str, task: Task, seconds: float) -> Outcome:
-    """On a worker: a task.
-
-    A thread of C ends a process that hangs, also in a library that keeps the interpreter's lock; Dask replaces
-    it. There is one such timer in a process: with several threads a worker it is that of the last task.
-    """
-    with open(os.devnull, "w") as nowhere:
-        faulthandler.dump_traceback_later(seconds, exit=True, file=nowhere)
-        try:
-            return perform(store_url, task)
-        finally:
-            faulthandler.cancel_dump_traceback_later()
 
 
 @dataclass(frozen=True)
@@ -55,18 +48,18 @@ class _Try:
 
     task: Task
     number: int
-    began: float
 
 
 class DaskExecutor:
-    """Bounded submission to a Dask cluster.
+    """Bounded submission to Dask workers.
 
     Parameters
     ----------
-    address : str
-        Of a running scheduler.
+    workers : int
+        Of this machine, where no ``address`` is given.
+    address : str, optional
+        Of the scheduler of a cluster that runs already, whose workers are used.
     limits : Limits
-        Of time; memory is the business of the cluster.
 
     Raises
     ------
@@ -74,89 +67,108 @@ class DaskExecutor:
         No scheduler at the address, or one without workers.
     """
 
-    def __init__(self, address: str, limits: Limits | None = None) -> None:
+    def __init__(self, workers: int, address: str | None = None, limits: Limits | None = None) -> None:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        self._limits = limits or Limits()
-        self._submissions = itertools.count()  # Dask would answer for a name that it knows
+        self._run = Run(uuid.uuid4().hex, limits or Limits())
+        self._submissions = 0
+        self._cluster: Any = None
+        if address is None:
+            with dask.config.set(_QUIET):
+                self._cluster = cluster_here(workers)
+                self._client: Any = _dask.Client(self._cluster, set_as_default=False)
+            self.workers = self._room = workers
+            return
+        self._address = address
         try:
-            self._client: Any = _dask.Client(address, timeout=CONNECT_SECONDS)
+            self._client = _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
-        self.workers = len(self._client.scheduler_info(n_workers=-1)["workers"])
+        self._look()
         if self.workers == 0:
             self._client.close()
             raise ConfigError(
                 f"--scheduler {address}: it has no workers; start some with `dask worker {address}`"
             )
 
+    def _look(self) -> None:
+        """See which workers there are."""
+        threads: dict[str, int] = self._client.nthreads()
+        self.workers = len(threads)
+        self._room = max(sum(threads.values()) + WAITING_PER_WORKER * self.workers, 1)
+        self._looked = time.monotonic()
+
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes as they come, one a try; `Outcome.again` tells that another one follows."""
-        suspects: list[Task] = []
-        deaths: Counter[str] = Counter()
-        for outcome in self._together(perform, store_url, tasks):
-            if outcome.error_kind == WORKER_DIED:
-                suspects.append(outcome.task)
-                deaths[outcome.task.key] += 1
-                outcome = replace(outcome, again=True)
-            yield outcome
-        for task in suspects:
-            while True:
-                (outcome,) = self._together(perform, store_url, [task], tries=1)
-                deaths[task.key] += outcome.error_kind == WORKER_DIED
-                again = outcome.error_kind == WORKER_DIED and deaths[task.key] < TRIES
-                if not again and outcome.error_kind == WORKER_DIED:
-                    error = f"killed its worker {deaths[task.key]} times, the last one alone: {outcome.error}"
-                    outcome = replace(outcome, error=error)
-                yield replace(outcome, again=again)
-                if not again:
-                    break
-
-    def _together(
-        self, perform: Perform, store_url: str, tasks: Iterable[Task], tries: int = TRIES
-    ) -> Iterator[Outcome]:
-        """Outcomes of tasks that are in flight side by side, one a try."""
         waiting = iter(tasks)
         running: dict[str, _Try] = {}
+        done = _dask.as_completed(loop=self._client.loop)
 
-        def submit(task: Task, number: int = 1) -> Any:
+        def submit(task: Task, number: int) -> None:
+            self._submissions += 1  # Dask would answer for a name that it knows
             future = self._client.submit(
-                _watched, perform, store_url, task, self._limits.seconds_of(task), pure=False,
-                key=f"{task.stage}/{task.key}/{next(self._submissions)}",
+                perform_in_child, self._run, perform, store_url, task, pure=False,
+                key=f"{task.stage}/{task.key}/{self._submissions}",
             )  # fmt: skip
-            running[future.key] = _Try(task, number, time.monotonic())
-            return future
+            running[future.key] = _Try(task, number)
+            done.add(future)
 
-        room = IN_FLIGHT_PER_WORKER * self.workers
-        done = _dask.as_completed([submit(task) for task in itertools.islice(waiting, room)])
+        def fill() -> None:
+            while len(running) < self._room and (task := next(waiting, None)) is not None:
+                submit(task, 1)
+
+        fill()
         for future in done:
             this = running.pop(future.key)
             outcome = self._outcome(future, this)
             future.release()
-            again = outcome.again and this.number < tries
-            if again:
-                done.add(submit(this.task, this.number + 1))
-            yield replace(outcome, again=again)
-            following = None if again else next(waiting, None)
-            if following is not None:
-                done.add(submit(following))
+            if outcome.again:
+                submit(this.task, this.number + 1)
+            if self._cluster is None and time.monotonic() - self._looked > LOOK_SECONDS:
+                with suppress(OSError, TimeoutError):  # a broken connection is told by the tasks
+                    self._look()
+            fill()
+            yield outcome
 
     def _outcome(self, future: Any, this: _Try) -> Outcome:
+        """What became of a try."""
+        again = this.number < TRIES
+        if future.cancelled():
+            return self._cut_off(this)
         error = future.exception()
-        if error is None:
-            outcome: Outcome = future.result()
-            return outcome
         if isinstance(error, KilledWorker):
-            limit = self._limits.seconds_of(this.task)
-            late = time.monotonic() - this.began >= limit
-            text = (
-                f"no end within {limit:g} s; --task-seconds allows more"
-                if late
-                else "its process ended without a word (a native crash, or the system took it for its memory)"
+            text = "its worker went away each time (a machine that was lost, or its memory)"
+            return Outcome(this.task, None, text, WORKER_DIED, again=again)
+        if error is not None:
+            text = (str(error) or repr(error)).splitlines()[0]
+            return Outcome(this.task, None, text, type(error).__name__, again=again)
+        outcome: Outcome = future.result()
+        if outcome.error_kind == WORKER_DIED:
+            fate = f"its worker {outcome.error}"
+            if not again:
+                fate = f"killed its worker {this.number} times: it {outcome.error}"
+            outcome = replace(outcome, error=fate)
+        return replace(outcome, again=outcome.again and again)
+
+    def _cut_off(self, this: _Try) -> Outcome:
+        """The connection to the scheduler broke: Dask's client takes it up again, but forgets what it had asked for."""
+        while self._client.status == "connecting":
+            time.sleep(0.1)
+        if self._client.status != "running":
+            raise ProcessingError(
+                f"--scheduler {self._address}: the connection broke and does not come back; see to the cluster, "
+                "the same command goes on"
             )
-            return Outcome(this.task, None, text, WORKER_DIED)
-        text = (str(error) or repr(error)).splitlines()[0]
-        return Outcome(this.task, None, text, type(error).__name__, again=True)
+        return Outcome(
+            this.task, None, "the connection to the scheduler broke", "ConnectionError", again=True
+        )
 
     def close(self) -> None:
-        """Leave the cluster, which goes on."""
-        self._client.close(timeout=5)
+        """End what works for this executor, whatever it does; a cluster goes on."""
+        with suppress(OSError, TimeoutError, ValueError):  # the connection may be what ended the run
+            self._client.sync(
+                self._client._run, end_children, self._run.token, callback_timeout=CLOSE_SECONDS
+            )
+        with suppress(OSError, TimeoutError):
+            self._client.close(timeout=CLOSE_SECONDS)
+        if self._cluster is not None:
+            self._cluster.close(timeout=CLOSE_SECONDS)

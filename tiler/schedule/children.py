@@ -1,0 +1,111 @@
+"""What a Dask worker does with a task: a child process of its own works on it, see `Guard`.
+
+So a native crash, a hang or too much memory costs the child and one try of the task that is to blame, which is known,
+and how; the Dask worker lives on, with the other tasks that it holds.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import distributed
+
+from tiler.schedule.guard import Died, Guard
+from tiler.schedule.task import Limits, Outcome, Perform, Task
+
+WORKER_DIED = "WorkerDied"
+"""Kind of the error of a task that killed its worker."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the tasks of one executor share.
+
+    Attributes
+    ----------
+    token : str
+        Of this executor alone.
+    limits : Limits
+    """
+
+    token: str
+    limits: Limits
+
+
+class Children:
+    """The children of one Dask worker: one for each task that it has at a time, kept for the next."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._idle: list[Guard] = []
+        self._busy: dict[Guard, str] = {}
+        self._ended: set[str] = set()
+
+    def perform(self, run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
+        """Let a child do a task; what became of it."""
+        guard = self._take(run)
+        try:
+            outcome = guard.call(perform, store_url, task, seconds=run.limits.seconds_of(task))
+            if outcome.again:
+                guard.close()  # the next try is another process's
+        except Died as died:
+            outcome = Outcome(task, None, str(died), WORKER_DIED, again=True)
+        except Exception as error:  # noqa: BLE001 - the task did not even reach the child, or its outcome the way back
+            outcome = Outcome(
+                task, None, f"{type(error).__name__}: {error}", type(error).__name__, again=True
+            )
+        finally:
+            self._give_back(guard)
+        return outcome
+
+    def end(self, token: str) -> None:
+        """End the children that work for one executor, and start none for it any more; forget the idle ones."""
+        with self._lock:
+            self._ended.add(token)
+            for guard, owner in self._busy.items():
+                if owner == token:
+                    guard.kill()
+            idle, self._idle = self._idle, []
+        for guard in idle:
+            guard.close()
+
+    def _take(self, run: Run) -> Guard:
+        """A child that waits and has the same limit, or a new one."""
+        with self._lock:
+            others, self._idle = self._idle, []
+            guard = Guard(run.limits.memory_bytes)
+            while others:
+                other = others.pop()
+                if other.memory_bytes == guard.memory_bytes:
+                    guard, self._idle = other, others
+                    break
+                other.close()
+            self._busy[guard] = run.token
+            if run.token in self._ended:
+                guard.kill()  # a task that waited in line: it ends at once
+            return guard
+
+    def _give_back(self, guard: Guard) -> None:
+        with self._lock:
+            del self._busy[guard]
+            if not guard.killed:
+                self._idle.append(guard)
+                return
+        guard.close()
+
+
+def perform_in_child(run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
+    """On a Dask worker: `Children.perform`."""
+    return _children(distributed.get_worker()).perform(run, perform, store_url, task)
+
+
+def end_children(token: str, dask_worker: distributed.Worker) -> None:
+    """On a Dask worker: `Children.end`; Dask fills in the worker."""
+    _children(dask_worker).end(token)
+
+
+def _children(worker: distributed.Worker) -> Children:
+    """Kept with the worker: in one process there can be several."""
+    found: Children = vars(worker).setdefault("tiler_children", Children())
+    return found
