@@ -32,7 +32,10 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     """
     points = summary["counts"]["stored"]
     lines = ["nothing to do: everything was done before"] if did_nothing else []
-    lines.append(f"points      {points:,} of {len(summary['inputs'])} files" + _dropped(summary["counts"]))
+    files = len(summary["inputs"])
+    lines.append(
+        f"points      {points:,} of {files:,} file{'' if files == 1 else 's'}" + _dropped(summary["counts"])
+    )
     if "filter" in summary:
         facts = summary["filter"]
         lines.append(f"ground      {facts['ground']:,} points, in {facts['tiles']:,} tiles" + _marked(facts))

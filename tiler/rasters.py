@@ -69,11 +69,15 @@ def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commi
 def _advise(job: Job, spec: RasterSpec) -> None:
     """Look for roofs in the terrain, where a parameter of the method could have kept them out of it."""
     building = job.plan.parameters.get("max_building_size_m")
-    if building is None or not job.stages["grid-dtm"]["computed"]:
+    if building is None:
         return
-    text = roofs_in_terrain(job.store, "dtm", spec, building)
-    job.facts["advice"] = [] if text is None else [text]
-    for line in job.facts["advice"]:
+    found = job.store.get_state("advice")
+    if job.stages["grid-dtm"]["computed"] or not found or found["building_m"] != building:
+        text = roofs_in_terrain(job.store, "dtm", spec, building)
+        found = {"building_m": building, "texts": [] if text is None else [text]}
+        job.store.put_state("advice", found)
+    job.facts["advice"] = found["texts"]
+    for line in found["texts"]:
         job.listener("warning", {"text": line})
 
 

@@ -59,6 +59,17 @@ def test_verify_finds_nothing_where_nothing_changed(out: Path, demo: DemoScene) 
     assert again(demo, out, verify=True) == {}
 
 
+def test_advice_on_the_terrain_is_given_again(
+    out: Path, demo: DemoScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.rasters.roofs_in_terrain", lambda *_: "a roof")
+    assert again(demo, out, parameters={"max_building_size": "19"})["grid-dtm"]
+    monkeypatch.undo()
+    monkeypatch.setattr("tiler.rasters.roofs_in_terrain", lambda *_: pytest.fail("looked again"))
+    options = {"parameters": {"max_building_size": "19"}, "products": "dtm,slope", "tile_size": "128"}
+    assert do(list(demo.paths), out, **options).summary["advice"] == ["a roof"]
+
+
 def test_another_resolution_only_grids(out: Path, demo: DemoScene) -> None:
     assert again(demo, out, resolution="0.5") == {"grid-dtm": 1, "export": 1}
 

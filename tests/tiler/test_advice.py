@@ -18,6 +18,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.ingest import SourceInfo, inspect
 from tiler.plan import make_plan
+from tiler.plan.refuse import warnings_of
 from tiler.store import StoreMeta, TileStore, create_store
 
 ROWS, COLUMNS = np.mgrid[:120, :150].astype(np.float64)
@@ -120,3 +121,16 @@ def test_the_plan_gives_the_advice(make_cloud: MakeCloud) -> None:
     warnings = make_plan([str(path)], config).warnings
     assert sum("--halo 10 m is too small" in text for text in warnings) == 1
     assert sum("is finer than the points" in text for text in warnings) == 1
+
+
+@pytest.mark.parametrize(
+    ("side", "tile", "times"), [(90, 128, None), (900, 512, None), (900, 128, "6.6"), (300, 100, "9.0")]
+)
+def test_small_tiles_are_told_of_where_there_are_several(
+    side: int, tile: int, times: str | None, source: SourceInfo
+) -> None:
+    wide = replace(source, bounds=(0.0, 0.0, 100.0, float(side), float(side), 110.0))
+    found = warnings_of([wide], CoordFrame().units, Fraction(tile), 100.0)
+    assert [f"do {times} times the work; use --tile-size 483 or more --memory" in text for text in found] == (
+        [True] if times else []
+    )

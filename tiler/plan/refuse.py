@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Sequence
@@ -18,6 +19,8 @@ from tiler.plan.model import Plan
 MAX_DENOMINATOR = 511
 """Of a pixel's side in counts, so that gridding is exact in int64."""
 WIDEST_RELIEF_M = 9000
+WIDE_TILE = 2 + 2 * math.sqrt(2)
+"""Halos in a tile that does twice the work."""
 
 
 def warnings_of(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo: float) -> list[str]:
@@ -39,12 +42,21 @@ def warnings_of(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo:
             found.append(
                 f"{source.path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
             )
-    overlap = float(((tile + 2 * Fraction(halo)) / tile) ** 2)
+    overlap, side = _overlap(z, float(units.horizontal), float(tile), halo), math.ceil(WIDE_TILE * halo)
     if overlap > 2:
         found.append(
             f"tiles of {float(tile):g} m with {halo:g} m of halo do {overlap:.1f} times the work; "
-            f"use --tile-size {4 * halo:g} or more --memory"
+            f"use --tile-size {side} or more --memory"
         )
+    return found
+
+
+def _overlap(bounds: Sequence[Sequence[float]], metres: float, tile: float, halo: float) -> float:
+    """Area of a tile with its halo over that of the tile, neither wider than the inputs together."""
+    found = 1.0
+    for low, high in ((0, 3), (1, 4)):
+        side = max(max(b[high] for b in bounds) - min(b[low] for b in bounds), 1.0) * metres
+        found *= min(tile + 2 * halo, side) / min(tile, side)
     return found
 
 

@@ -57,9 +57,13 @@ def _sentence(run: Run, left_out: str) -> str:
     seconds = f" in {duration_text(run['seconds'])}" if "seconds" in run and not done_before(run) else ""
     missing = f" Left out: {left_out}; see Problems." if left_out else " Nothing was left out."
     return (
-        f"{what} from {plan['points']:,} points of {plan['inputs']:,} files, "
+        f"{what} from {plan['points']:,} points of {plan['inputs']:,} {_files(plan['inputs'])}, "
         f"{plan['area_m2'] / SQUARE_KM:,.3g} km2, by the method {plan['method']}{seconds}.{missing}"
     )
+
+
+def _files(number: int) -> str:
+    return "file" if number == 1 else "files"
 
 
 def _figures(run: Run) -> Iterator[tuple[str, str]]:
@@ -86,7 +90,7 @@ def done_before(run: Run) -> int:
 def problems(run: Run) -> Node:
     """What is missing or doubtful, and what to do; the first thing to read after the figures."""
     content: list[Content] = []
-    for text in run["plan"].get("warnings", ()):
+    for text in (*run["plan"].get("warnings", ()), *run.get("advice", ())):
         content.append(el("p", text, class_="warning"))
     marked = run.get("filter", {}).get("marked", 0)
     if marked:
@@ -146,16 +150,25 @@ def decisions(run: Run) -> Node:
     ]
     notes = dict.fromkeys([*plan.get("notes", ()), *run.get("notes", ())])
     told = [el("li", text) for text in list(notes)[:MOST_ROWS]]
-    found = {name: text for name, text in _flat("", run.get("statistics", {})) if not name.endswith("notes")}
+    found = list(_measured(run.get("statistics", {})))
     content: list[Content] = [table(("setting", "value", "by", "why"), rows)]
     if told:
         content += [el("h3", "Noted on the way"), el("ul", *told)]
     if found:
         content += [
             el("h3", "Measured over the whole run"),
-            table(("figure", "value"), list(found.items())[:MOST_ROWS]),
+            table(("by pass", "figure", "value"), found[:MOST_ROWS]),
         ]
     return section("decisions", "Decided automatically", *content)
+
+
+def _measured(statistics: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Pass, figure and value; what a pass only hands on from those before is told once."""
+    known: dict[str, str] = {}
+    for step, state in statistics.items():
+        new = {name: text for name, text in _flat("", state) if known.get(name) != text}
+        known |= new
+        yield from ((step, name, text) for name, text in new.items() if not name.endswith("notes"))
 
 
 def _crs_name(wkt: str | None) -> str:

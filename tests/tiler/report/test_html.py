@@ -39,6 +39,16 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
             assert text in page.texts[name], name
 
 
+def test_advice_is_told_and_what_passes_hand_on_is_told_once(tmp_path: Path) -> None:
+    advice = "the terrain holds what looks like a roof 36 m wide"
+    statistics = {"survey": {"kind": "dim", "notes": ["x"]}, "seeds": {"kind": "dim", "rise_m": 0.25}}
+    content = results.run(advice=[advice], statistics=statistics)
+    page = results.read(write_report(results.write(tmp_path / "out", content)))
+    assert advice in page.texts["problems"]
+    assert page.texts["decisions"].count("dim") == 1
+    assert "survey kind dim seeds rise_m 0.25" in page.texts["decisions"]
+
+
 def test_it_loads_nothing_and_runs_its_own_script_alone(tmp_path: Path) -> None:
     text = write_report(results.write(tmp_path / "out", results.run())).read_text("utf-8")
     page = results.read(tmp_path / "out" / "report.html")
