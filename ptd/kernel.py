@@ -1,9 +1,10 @@
 """The one place that names the compiler of the numeric kernels, and where their machine code is kept.
 
 Kernels compile once per machine and version. numba's cache looks at a kernel's own source file alone, so after an
-upgrade it would take old code of the kernels that it calls for fresh. Here the folder's name holds a digest of all
-sources of the package; it lies in ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache folder, else in a
-folder of the user's own among the temporary files. Where none can be written each process compiles for itself.
+upgrade it would take old code of the kernels that it calls for fresh. Here the folder's name holds a digest of the
+package's place and of all its sources; it lies in ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache folder,
+else in a folder of the user's own among the temporary files. Where none can be written each process compiles for
+itself.
 """
 
 import functools
@@ -29,8 +30,10 @@ _Result = TypeVar("_Result")
 @functools.cache
 def cache_folder() -> Path | None:
     """The folder of this version's machine code, made if need be; None where there is no place for one."""
-    digest = hashlib.blake2b(numba.__version__.encode(), digest_size=8)
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    package = Path(__file__).resolve().parent
+    # numba keeps the code of each installation apart: a twin in another place would take this one's for its own.
+    digest = hashlib.blake2b(f"{numba.__version__} {package}".encode(), digest_size=8)
+    for path in sorted(package.rglob("*.py")):
         digest.update(path.read_bytes())
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     user = os.getuid() if hasattr(os, "getuid") else "user"

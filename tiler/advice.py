@@ -104,10 +104,9 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
         top, left = max(block.row - pad, 0), max(block.col - pad, 0)
         bottom = min(block.row + block.height + pad, spec.height)
         right = min(block.col + block.width + pad, spec.width)
-        part = store.read_block(name, Block(top, left, bottom - top, right - left)).astype(np.float64)
-        part[part == NODATA] = np.nan
-        part *= float(frame.units.vertical)
-        for width, row, col in roofs(pooled(part, times), pixel * times):
+        part = pooled(store.read_block(name, Block(top, left, bottom - top, right - left)), times)
+        heights = np.where(part == np.float32(NODATA), np.nan, part) * float(frame.units.vertical)
+        for width, row, col in roofs(heights, pixel * times):
             if width > widest:
                 widest, where = width, (top + int(row * times), left + int(col * times))
     if where is None or widest <= 0.8 * building_m:
@@ -125,9 +124,9 @@ def _place(store: TileStore, spec: RasterSpec, row: int, col: int) -> tuple[floa
     return x + a * col, y + e * row
 
 
-def pooled(heights: Float64, times: int) -> Float64:
+def pooled(heights: npt.NDArray[np.float32], times: int) -> Float64:
     """The heights of every so many-th pixel: thinning keeps what stands steep, means would blur it."""
-    return heights[times // 2 :: times, times // 2 :: times]
+    return heights[times // 2 :: times, times // 2 :: times].astype(np.float64)
 
 
 def roofs(heights: Float64, cell_m: float) -> list[tuple[float, float, float]]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import resource
 import sys
 import time
 import traceback
+from contextlib import suppress
+from typing import Any
 
 from tiler.errors import DamagedError, DiskFullError, TilerError
 from tiler.schedule import Outcome, Task
@@ -25,9 +28,27 @@ def peak_rss_bytes() -> int:
         return peak if sys.platform == "darwin" else peak * 1024
 
 
+def _forget_peak() -> None:
+    """Let `peak_rss_bytes` begin anew, where the system can: a task is told of with its own peak."""
+    with suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as peak:
+        peak.write("5")
+
+
+def _give_back() -> None:
+    """Return freed memory to the system.
+
+    The allocator of the C library keeps what a task freed, in pieces too small for the next stage's arrays: a worker
+    would grow with the number of tasks that it has done.
+    """
+    with suppress(OSError, AttributeError):  # of glibc alone
+        library: Any = ctypes.CDLL(None)
+        library.malloc_trim(0)
+
+
 def perform(store_url: str, task: Task) -> Outcome:
     """Run a task and commit what it returns, so that it counts as done whatever becomes of the command."""
     start = time.monotonic()
+    _forget_peak()
     kind: type[BaseException]
     damaged: tuple[str, ...] = ()
     try:
@@ -44,7 +65,9 @@ def perform(store_url: str, task: Task) -> Outcome:
         text = f"{kind.__name__}: {error} ({where.filename.rsplit('/', 1)[-1]}:{where.lineno})"
         gc.collect()
     else:
+        _give_back()
         return Outcome(task, record, None, None, time.monotonic() - start, peak_rss_bytes())
+    _give_back()
     seconds, peak = time.monotonic() - start, peak_rss_bytes()
     return Outcome(
         task, None, text, kind.__name__, seconds, peak, again, issubclass(kind, DiskFullError), damaged

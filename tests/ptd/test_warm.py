@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+import ptd
 from ptd import warm
 from ptd.methods import METHODS
 from ptd.warm import warm_filters, warm_gridding
@@ -42,3 +47,16 @@ def test_without_a_place_to_keep_it_nothing_is_done(monkeypatch: pytest.MonkeyPa
     told: list[str] = []
     warm_filters("classic", lambda: told.append("each process compiles for itself"))
     assert told
+
+
+def test_another_installation_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    """numba keeps code by the place of its source: what one has compiled is not the other's."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": ""}
+    folders = set()
+    for place in (tmp_path / "one", tmp_path / "twin"):
+        shutil.copytree(
+            Path(ptd.__file__).parent, place / "ptd", ignore=shutil.ignore_patterns("__pycache__")
+        )
+        told = [sys.executable, "-c", "from ptd.kernel import cache_folder; print(cache_folder())"]
+        folders.add(subprocess.run(told, cwd=place, env=environment, check=True, capture_output=True).stdout)
+    assert len(folders) == 2

@@ -87,15 +87,29 @@ def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     return {**record, "checksum": checksum(heights)}
 
 
-def _in_parts(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+Heights = npt.NDArray[np.float32]
+
+
+def _in_parts(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[str, Any]]:
     """As `block_heights`, in quarters where the window holds more points than ``max_points``; same pixels."""
-    row, col, height, width = args["block"]
-    spec = RasterSpec.from_json(args["spec"])
-    window = spec.block_bounds(Block(row, col, height, width)).pad(args["halo"])
+    if _too_full(store, args, args["halo"]):
+        return _in_quarters(store, args)
+    return block_heights(store, args)
+
+
+def _too_full(store: TileStore, args: dict[str, Any], halo: int) -> bool:
+    """Whether a block's window holds too many points; the smallest part is done however many they are."""
+    if "max_points" not in args or max(args["block"][2:]) <= SMALLEST_PART:
+        return False
+    window = RasterSpec.from_json(args["spec"]).block_bounds(Block(*args["block"])).pad(halo)
     infos = store.buckets()
     points = sum(infos[cell].n for cell in store.meta.bucket.cells(window) if cell in infos)
-    if points <= args.get("max_points", points) or max(height, width) <= SMALLEST_PART:
-        return block_heights(store, args)
+    return points > int(args["max_points"])
+
+
+def _in_quarters(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[str, Any]]:
+    """A block, quarter by quarter."""
+    row, col, height, width = args["block"]
     heights = np.empty((height, width), np.float32)
     total: dict[str, Any] = {}
     for top, tall in ((0, height // 2), (height // 2, height - height // 2)):
@@ -111,8 +125,10 @@ def _in_parts(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[np.fl
     return heights, total
 
 
-def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[str, Any]]:
     """Heights of any block, and the record, but for the checksum; arguments as those of `grid_block`.
+
+    Where marks ask for a wider window and that would hold too many points, quarters of the block go on.
 
     Returns
     -------
@@ -126,22 +142,26 @@ def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[npt.NDArray[n
     halo = min(max(args["halo"], math.ceil(job.spec.lattice.size)), max_halo)
     tries = 1
     while True:
-        window = bounds.pad(halo)
-        ground, xyz = _ground(store, job, window)
-        raster = rasterise_window(store, job, window, xyz)
-        marked = int(raster.marks.sum())
-        if marked == 0 or halo >= max_halo:
-            break
+        heights, record = _attempt(store, job, bounds.pad(halo))
+        if record["marked"] == 0 or halo >= max_halo:
+            return heights, {**record, "tries": tries, "halo": halo}
         halo, tries = min(2 * halo, max_halo), tries + 1
+        if _too_full(store, args, halo):
+            heights, record = _in_quarters(store, args)
+            return heights, {**record, "tries": record["tries"] + 1}
+
+
+def _attempt(store: TileStore, job: GridJob, window: Bounds) -> tuple[Heights, dict[str, Any]]:
+    """Heights of a block from what a window holds, and the record."""
+    ground, xyz = _ground(store, job, window)
+    raster = rasterise_window(store, job, window, xyz)
     heights = heights_in_units(raster)
     filled = int(np.count_nonzero(heights != np.float32(NODATA)))
     return heights, {
         "pixels": heights.size,
         "filled": filled,
         "nodata": heights.size - filled,
-        "marked": marked,
-        "tries": tries,
-        "halo": halo,
+        "marked": int(raster.marks.sum()),
         "ground_read": ground.xyz.shape[1],
         "ground_used": xyz.shape[1],
         "ground_marked": ground.marked,

@@ -1,10 +1,14 @@
-"""The rasters of a run as small pictures: decimated reads, whole-number shades, paletted PNGs of bounded size."""
+"""The rasters of a run as small pictures: decimated reads, whole-number shades, paletted PNGs of bounded size.
+
+Memory is that of one picture, whatever the raster's size: values are float32, and what is computed of them is
+computed in strips of rows, one picture after another.
+"""
 
 from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +19,6 @@ import rasterio
 from rasterio.enums import Resampling
 
 from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
-from tiler.export.geotiff import CACHE_MB
 from tiler.export.picture import palette_png_bytes
 from tiler.grid.shape import multidirectional_hillshade
 
@@ -33,9 +36,16 @@ CLIPPED_PERCENT = 0.5
 
 LEGEND_STEPS = 5
 
+CACHE_MB = 16
+"""Of GDAL's blocks while a raster is read: two rows of blocks of an overview that is twice a picture's width."""
+
+STRIP_ROWS = 128
+"""Of a picture whose slopes or colours are computed at once."""
+
 Colour = tuple[int, int, int]
 UInt8s = npt.NDArray[np.uint8]
-Floats = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
+Extent = tuple[float, float, float, float]
 
 TERRAIN: tuple[Colour, ...] = (
     (44, 110, 96), (126, 172, 108), (228, 216, 146), (198, 146, 94), (150, 96, 72), (246, 242, 238),
@@ -79,7 +89,7 @@ class Pictures:
     pictures : tuple of Picture
     """
 
-    extent: tuple[float, float, float, float]
+    extent: Extent
     pictures: tuple[Picture, ...]
 
 
@@ -121,13 +131,23 @@ def draw(rasters: Mapping[str, Path], run: Mapping[str, Any]) -> Pictures | None
 
 def _draw(rasters: Mapping[str, Path], run: Mapping[str, Any], longer: int) -> Pictures:
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
-        heights, extent = _read(rasters["dtm"], longer, Resampling.average)
-        made = {"hillshade": _hillshade(heights, extent, run), "dtm": _heights(heights, run)}
-        if "density" in rasters:
-            made["density"] = _density(_read(rasters["density"], longer, Resampling.average)[0])
-        if "mask" in rasters:
-            made["mask"] = _mask(_read(rasters["mask"], longer, Resampling.nearest)[0])
-    return Pictures(extent, tuple(_picture(name, indexed) for name, indexed in made.items()))
+        extent = _extent(rasters["dtm"])
+        drawn = tuple(_picture(name, made) for name, made in _each(rasters, extent, run, longer))
+    return Pictures(extent, drawn)
+
+
+def _each(
+    rasters: Mapping[str, Path], extent: Extent, run: Mapping[str, Any], longer: int
+) -> Iterator[tuple[str, _Indexed]]:
+    """One picture after another, so that no more than one is in memory."""
+    heights = _read(rasters["dtm"], longer, Resampling.average)
+    yield "hillshade", _hillshade(heights, extent, run)
+    yield "dtm", _heights(heights, run)
+    del heights
+    if "density" in rasters:
+        yield "density", _density(_read(rasters["density"], longer, Resampling.average))
+    if "mask" in rasters:
+        yield "mask", _mask(_read(rasters["mask"], longer, Resampling.nearest))
 
 
 def _picture(name: str, indexed: _Indexed) -> Picture:
@@ -136,30 +156,44 @@ def _picture(name: str, indexed: _Indexed) -> Picture:
     return Picture(name, indexed.title, f"data:image/png;base64,{data}", (width, height), indexed.legend)
 
 
-def _read(
-    path: Path, longer: int, resampling: Resampling
-) -> tuple[Floats, tuple[float, float, float, float]]:
-    """Pixels, NaN where there is no data, from the overviews where they do; and the extent."""
+def _extent(path: Path) -> Extent:
+    with rasterio.open(path) as raster:
+        bounds = raster.bounds
+    return bounds.left, bounds.bottom, bounds.right, bounds.top
+
+
+def _read(path: Path, longer: int, resampling: Resampling) -> Floats:
+    """Pixels, NaN where there is no data; from the overviews of a large raster, block by block."""
     with rasterio.open(path) as raster:
         shrink = max(max(raster.shape) / longer, 1.0)
         shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
-        values = raster.read(1, out_shape=shape, masked=True, resampling=resampling)
-        bounds = raster.bounds
-    found: Floats = values.astype(np.float64).filled(np.nan)
-    return found, (bounds.left, bounds.bottom, bounds.right, bounds.top)
+        values: Floats = raster.read(1, out_shape=shape, resampling=resampling).astype(np.float32, copy=False)
+        if raster.nodata is not None:
+            values[values == np.float32(raster.nodata)] = np.nan
+    return values
 
 
-def _hillshade(heights: Floats, extent: tuple[float, ...], run: Mapping[str, Any]) -> _Indexed:
+def _strips(rows: int) -> Iterator[slice]:
+    for first in range(0, rows, STRIP_ROWS):
+        yield slice(first, min(first + STRIP_ROWS, rows))
+
+
+def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> _Indexed:
     """Of the decimated heights: what is smaller than a pixel of the picture cannot be seen anyway."""
     west, south, east, north = extent
     metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
     rows, columns = heights.shape
     across = (east - west) / columns * metres["horizontal"]
     down = (north - south) / rows * metres["horizontal"]
-    level = np.where(np.isfinite(heights), 0.0, np.nan)
-    to_south = np.gradient(heights, down, axis=0) * metres["vertical"] if rows > 1 else level
-    to_east = np.gradient(heights, across, axis=1) * metres["vertical"] if columns > 1 else level
-    shade = multidirectional_hillshade(to_east, -to_south)
+    shade = np.empty(heights.shape, np.float32)
+    for strip in _strips(rows):
+        first, last = max(strip.start - 1, 0), min(strip.stop + 1, rows)  # a row of neighbours on either side
+        part = heights[first:last].astype(np.float64) * metres["vertical"]
+        level = np.where(np.isfinite(part), 0.0, np.nan)
+        to_south = np.gradient(part, down, axis=0) if rows > 1 else level
+        to_east = np.gradient(part, across, axis=1) if columns > 1 else level
+        inner = slice(strip.start - first, strip.stop - first)
+        shade[strip] = multidirectional_hillshade(to_east[inner], -to_south[inner])
     low, high = _range(shade)
     return _ramp("Hillshade", shade, min(low, 120.0), max(high, 200.0), GREY, None)
 
@@ -173,14 +207,15 @@ def _heights(heights: Floats, run: Mapping[str, Any]) -> _Indexed:
 
 def _density(density: Floats) -> _Indexed:
     """On a scale of logarithms: a clearing in a wood and an overlap of strips both show."""
-    found = np.log10(np.where(density > 0, density, np.nan))
+    density[density <= 0] = np.nan
+    found = np.log10(density, out=density)
     low, high = _range(found)
     return _ramp("Ground points per m2", found, low, high, VIRIDIS, lambda v: f"{10**v:.3g}")
 
 
 def _mask(mask: Floats) -> _Indexed:
     product = PRODUCTS["mask"]
-    values = np.nan_to_num(mask, nan=OUTSIDE).astype(np.uint8)
+    values = np.nan_to_num(mask, copy=False, nan=OUTSIDE).astype(np.uint8)
     legend = [(product.colours[v], text) for v, text in MASK_VALUES.items() if v != OUTSIDE]
     return _Indexed("Where heights come from", values, product.colours, tuple(legend))
 
@@ -198,10 +233,11 @@ def _ramp(
     title: str, values: Floats, low: float, high: float, stops: tuple[Colour, ...],
     text: Callable[[float], str] | None,
 ) -> _Indexed:  # fmt: skip
-    share = np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0)
-    indexed = np.where(np.isfinite(share), 1 + np.rint(np.nan_to_num(share) * (SHADES - 1)), 0).astype(
-        np.uint8
-    )
+    indexed = np.zeros(values.shape, np.uint8)
+    for strip in _strips(len(values)):
+        share = np.clip((values[strip].astype(np.float64) - low) / max(high - low, 1e-9), 0.0, 1.0)
+        there = np.isfinite(share)
+        indexed[strip][there] = 1 + np.rint(share[there] * (SHADES - 1)).astype(np.uint8)
     colours = {i + 1: ramp_colour(stops, i / (SHADES - 1)) for i in range(SHADES)}
     shares = [i / (LEGEND_STEPS - 1) for i in range(LEGEND_STEPS)]
     legend = [(ramp_colour(stops, s), text(low + s * (high - low))) for s in shares] if text else []

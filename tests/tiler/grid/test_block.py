@@ -244,3 +244,13 @@ def test_stumps_beside_objects_are_not_gridded(make_scene):
     assert np.abs(clean[clean != np.float32(NODATA)]).max() == 0
     tiled, _ = scene.grid(METRE, 13, erode="1500", erode_rise=1000)
     assert tiled.tobytes() == clean.tobytes()
+
+
+def test_a_wider_window_that_is_too_full_is_left_to_quarters(make_scene):
+    scene = make_scene(scattered(3_000, 200_000), bucket=20_000)
+    whole, (plain,) = scene.grid(METRE, max_edge=40_000, halo=1_000)
+    tiled, records = scene.grid(METRE, 128, max_edge=40_000, halo=1_000, max_points=1_600)
+    assert max(r["tries"] for r in records) > 2
+    assert max(r["ground_read"] for r in records) < sum(r["pixels"] for r in records) * plain["ground_read"]
+    assert sum(r["pixels"] for r in records) == whole.size
+    assert tiled.tobytes() == whole.tobytes()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import tracemalloc
 import warnings
 from pathlib import Path
 
@@ -92,6 +93,26 @@ def test_pictures_shrink_until_they_fit(tmp_path: Path, monkeypatch: pytest.Monk
     assert 50_000 < sum(len(p.uri) for p in found.pictures) * 3 / 4 <= 100_000
     wide, high = found.pictures[0].size
     assert wide / high == pytest.approx(1.5, abs=0.02)
+
+
+def test_strips_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = drawn(tmp_path)
+    monkeypatch.setattr(pictures, "STRIP_ROWS", 7)
+    assert drawn(tmp_path) == whole
+
+
+@pytest.mark.parametrize("side", [400, 1600])
+def test_memory_is_that_of_one_picture(side: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pictures, "LONGER_SIDE", 300)
+    monkeypatch.setattr(pictures, "STRIP_ROWS", 32)
+    out = results.write(tmp_path / "out", results.run(outputs=ALL), side, side)
+    rasters = {name.removesuffix(".tif"): out / name for name in ALL}
+    draw(rasters, results.run())  # what is imported and kept on the way is not of this raster
+    tracemalloc.start()
+    draw(rasters, results.run())
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 30 * 300 * 300
 
 
 def test_a_large_raster_is_read_from_its_overviews(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
