@@ -75,7 +75,7 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
 
 def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:
     """The lines of `print_facts`."""
-    shown = {name.replace("_", " "): value for name, value in facts.items() if value is not None}
+    shown = {_fact_name(name): value for name, value in facts.items() if value is not None}
     width = max((len(name) for name in shown), default=0)
     lines = []
     for name, value in shown.items():
@@ -85,6 +85,12 @@ def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:
         else:
             lines.append(f"{indent}{name.ljust(width)}  {_fact_text(value)}")
     return lines
+
+
+def _fact_name(name: str) -> str:
+    """A name of ours in words; of a file, or of a tag, it is a name and stays."""
+    ours = name.islower() and not set(name) & set("./-")
+    return name.replace("_", " ") if ours else name
 
 
 def _fact_text(value: Any) -> str:

@@ -74,8 +74,14 @@ def _describe_folder(folder: Path) -> dict[str, Any]:
         return describe_store(str(folder))
     if (folder / "run.json").is_file():
         return describe_result(folder)
+    clouds = any(path.suffix.lower() in _CLOUDS for path in folder.iterdir())
     raise InputError(
-        f"{folder}: neither a tile store nor a result folder; name a file in it, or OUT of a run"
+        f"{folder}: "
+        + (
+            "holds clouds; name one of them, or see `tiler plan` for all"
+            if clouds
+            else "neither a tile store nor a result folder; name a cloud, a raster, or OUT of a run"
+        )
     )
 
 

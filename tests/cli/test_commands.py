@@ -249,7 +249,8 @@ def test_the_help_of_evaluate_names_the_classes_that_the_library_ignores() -> No
 
 def test_facts_are_aligned_and_nested() -> None:
     facts = {"kind": "cloud", "size_bytes": 1234567, "crs": None, "bounds": [0.5, 2.0], "classes": {"2": 10, "17": 3},
-             "has_rgb": False, "notes": []}  # fmt: skip
+             "has_rgb": False, "notes": [],
+             "outputs": {"a_b.tif": 1, "A_B": 2}}  # fmt: skip
     assert fact_lines(facts) == [
         "kind        cloud",
         "size bytes  1,234,567",
@@ -259,6 +260,9 @@ def test_facts_are_aligned_and_nested() -> None:
         "  17  3",
         "has rgb     no",
         "notes       none",
+        "outputs",
+        "  a_b.tif  1",
+        "  A_B      2",
     ]
 
 

@@ -107,6 +107,12 @@ def test_what_is_no_cloud_store_or_raster(name: str, tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_of_a_folder_of_clouds_a_cloud_is_wanted(tmp_path: Path) -> None:
+    (tmp_path / "a.LAZ").touch()
+    with pytest.raises(InputError, match="holds clouds; name one of them, or see `tiler plan` for all"):
+        describe(str(tmp_path))
+
+
 def test_result_folder(tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text('{"state": "done", "counts": {"stored": 7}, "plan": {}}')
     facts = describe(str(tmp_path))

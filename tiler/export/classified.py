@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,7 +22,7 @@ from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
 from tiler.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
 from tiler.las.headers import LasHeader, read_header
-from tiler.las.reader import EVERYTHING, PointReader, Records, rows_at_once
+from tiler.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
 from tiler.las.records import VariableRecord
 from tiler.las.writer import PointWriter, laszip_vlr
 from tiler.store import TileStore, open_store
@@ -63,6 +64,7 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     """
     store = open_store(store_url)
     header = read_header(Path(args["path"]), bool(args.get("salvage", False)))
+    header = replace(header, point_count=count_decodable(header))  # as it was read, if it had to be salvaged
     out = Path(args["out"])
     partial = out.with_name(out.name + ".partial")
     cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]

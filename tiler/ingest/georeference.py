@@ -175,6 +175,7 @@ def agree(infos: Sequence[SourceInfo], config: RunConfig) -> Agreement:
         (i.path, _settled(i.path, i.georeference, given, config.crs, notes)) for i in infos if i.points
     ]
     _check_horizontal(members)
+    _tell_of_own(members, config.crs, given, notes)
     units = _units(members, config.units, notes)
     texts = {g.wkt for _, g in members if g.wkt is not None}
     # Equal definitions may be written in several ways: take the same one in whatever order files come.
@@ -196,6 +197,24 @@ def _given(text: str | None) -> Georeference | None:
     return found
 
 
+def _tell_of_own(
+    members: Sequence[tuple[Path, Georeference]],
+    text: str | None,
+    given: Georeference | None,
+    notes: list[str],
+) -> None:
+    """Note files whose own CRS, one for all, counts although ``--crs`` says another."""
+    own = [(g.wkt, g.name) for _, g in members if g.wkt is not None and g is not given]
+    if text is None or not own:
+        return
+    theirs = split(CRS.from_wkt(own[0][0]))[0]
+    wanted = split(CRS.from_wkt(given.wkt))[0] if given is not None and given.wkt is not None else None
+    if theirs is None or wanted is None or not same_horizontal(wanted, theirs):
+        notes.append(
+            f"--crs {text}: is for files without a CRS; that of {len(own)} of {len(members)} files, {own[0][1]}, counts"
+        )
+
+
 def _settled(
     path: Path, own: Georeference, given: Georeference | None, text: str | None, notes: list[str]
 ) -> Georeference:
@@ -212,7 +231,10 @@ def _settled(
     if text is not None:
         return Georeference("missing", "unknown")
     why = f" ({'; '.join(own.notes)})" if own.notes else ""
-    raise InputError(f"{path}: has no CRS{why}; name it with --crs EPSG:..., or --crs none to assume metres")
+    raise InputError(
+        f"{path}: has no CRS{why}; name it with --crs EPSG:..., or --crs none to assume metres "
+        "(feet: --crs none --units ft)"
+    )
 
 
 def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
@@ -253,6 +275,11 @@ def _units(members: Sequence[tuple[Path, Georeference]], text: str | None, notes
         notes.append(
             f"--units: {unit_label(units.horizontal)} horizontally, {unit_label(units.vertical)} vertically"
         )
+        if parts[0] != horizontal and any(g.wkt for _, g in members):
+            notes.append(
+                f"--units {text}: x and y are taken as {unit_label(parts[0])} although their CRS says "
+                f"{unit_label(horizontal)}; was it only the heights, keep the first of --units h,v as the CRS has it"
+            )
         return units
     effective = [(path, v if v is not None else horizontal) for path, v in declared]
     for path, unit in effective[1:]:

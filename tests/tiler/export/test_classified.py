@@ -195,6 +195,17 @@ def test_a_salvaged_file_says_how_many_points_it_has(
         assert laspy.read(out).header.point_count == kept == len(laspy.read(out))
 
 
+@pytest.mark.parametrize("point_format", [1, 7])
+def test_a_cut_laz_is_written_up_to_its_last_whole_chunk(
+    make_cloud: Any, memory_store: Any, tmp_path: Path, point_format: int
+) -> None:
+    path = make_cloud("cut.laz", n=60_000, point_format=point_format, version="1.4")
+    path.write_bytes(path.read_bytes()[:-20_000])
+    out = tmp_path / "out.laz"
+    assert export(path, out, [], salvage=True)["points"] == 50_000
+    assert len(laspy.read(out)) == 50_000
+
+
 def test_the_same_bytes_each_time(make_cloud: Any, memory_store: Any, tmp_path: Path) -> None:
     path = make_cloud("a.laz", point_format=7, version="1.4")
     cells = label(memory_store, dict.fromkeys(range(500), 2))

@@ -117,6 +117,21 @@ def test_units_override(make_cloud: Any) -> None:
         settle(path, units="m,m,m")
 
 
+def test_what_is_overruled_and_what_is_not_is_told(make_cloud: Any) -> None:
+    path = make_cloud("a.las", n=5, crs="EPSG:25832")
+    assert not any("--crs" in text for text in settle(path, crs="EPSG:25832").notes)
+    for given in ("none", "EPSG:2992"):
+        agreed = settle(path, crs=given)
+        assert agreed.units == Units()
+        (note,) = [
+            text for text in agreed.notes if text.startswith(f"--crs {given}: is for files without a CRS")
+        ]
+        assert note.endswith("that of 1 of 1 files, ETRS89 / UTM zone 32N, counts")
+    (note,) = [text for text in settle(path, units="ft").notes if "although" in text]
+    assert "x and y are taken as foot although their CRS says metre" in note
+    assert not any("although" in text for text in settle(path, units="m,ft").notes)
+
+
 def test_heights_in_two_units_are_refused(make_cloud: Any) -> None:
     one = make_cloud("a.las", n=5, crs="EPSG:2991+6360")
     other = make_cloud("b.las", n=5, crs="EPSG:2991")
