@@ -159,3 +159,8 @@ def slot_of(slots: Int32, keys: Int64, width: int, height: int, column: int, row
         return int(slots[key])
     k = np.searchsorted(keys, key)
     return int(k) if k < keys.size and keys[k] == key else -1
+
+
+def positions(x: Int32, y: Int32) -> Int64:
+    """One number for each position: int64 [n], different for different (x, y)."""
+    return (x.astype(np.int64) << 32) + y

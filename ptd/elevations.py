@@ -141,7 +141,7 @@ class Elevations(Model):
         x, y, z = (np.ascontiguousarray(c) for c in candidates)
         keep = lowest_per_cell(x, y, z, Cells.of(cell_m, scale))
         east, north = x[keep], y[keep]
-        inside = (east >= core.west) & (east < core.east) & (north >= core.south) & (north < core.north)
+        inside = core.has(east, north)
         self._counts = histogram(z[keep[inside]], scale)
         self.stats = {"candidates": int(inside.sum())}
 

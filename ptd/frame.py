@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
+import numpy as np
+import numpy.typing as npt
+
 OPEN = 2**40
 """Counts beyond any coordinate: the side of a window behind which there are no points."""
 
@@ -118,3 +121,10 @@ class Window:
     def holds(self, west: int, south: int, east: int, north: int) -> bool:
         """Whether a half-open rectangle of local counts lies within."""
         return west >= self.west and south >= self.south and east <= self.east and north <= self.north
+
+    def has(self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+        """Which positions (local counts) lie within: bool [n]."""
+        found: npt.NDArray[np.bool_] = (
+            (x >= self.west) & (x < self.east) & (y >= self.south) & (y < self.north)
+        )
+        return found

@@ -26,6 +26,11 @@ State = Mapping[str, Any]
 ``notes``, a list of lines that `Pass.reduce` may lengthen, tell the user what was decided from the data."""
 
 
+def noted(state: State, *lines: str) -> list[str]:
+    """The notes of a state, and more of them."""
+    return [*state.get("notes", []), *lines]
+
+
 class MethodRefusal(ValueError):
     """The method cannot work on this run, as only its statistics show; one line for the user."""
 
@@ -70,6 +75,17 @@ class Points:
     def __len__(self) -> int:
         return int(self.xyz.shape[1])
 
+    def columns(self) -> tuple[Int32, Int32, Int32]:
+        """x, y, z, each contiguous."""
+        x, y, z = (np.ascontiguousarray(c) for c in self.xyz)
+        return x, y, z
+
+    def known_labels(self) -> UInt8:
+        """The labels, of a pass that asked for them."""
+        if self.labels is None:
+            raise ValueError("the pass was given no labels")
+        return self.labels
+
     def take(self, index: npt.NDArray[Any] | slice) -> Points:
         """The points of an index or mask, in that order."""
 
@@ -108,6 +124,28 @@ class Model(ABC):
         Like a core that carries a mark, one with such points is done again with a wider halo.
         """
         return 0
+
+
+class Measured(Model):
+    """A window of a pass that gives no labels.
+
+    Parameters
+    ----------
+    partial : dict
+        Of the core, see `Model.partial`.
+    stats : dict, optional
+    """
+
+    def __init__(self, partial: dict[str, Any], stats: dict[str, Any] | None = None) -> None:
+        self._partial, self.stats = partial, stats or {}
+
+    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+        """Not called."""
+        raise NotImplementedError("the pass gives no labels")
+
+    def partial(self) -> dict[str, Any]:
+        """What was measured."""
+        return self._partial
 
 
 class Pass(ABC):

@@ -215,7 +215,7 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     if x.size == 0:
         return {"points": 0, "cells": 0, "full": 0, "patches": []}
     cells = Cells.of(PATCH_M, scale)
-    inside = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
+    inside = core.has(x, y)
     # A margin of columns around the occupied ones, so that a key beside the raster is no cell of another row.
     col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
     width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0

@@ -8,7 +8,7 @@ import numpy as np
 
 from ptd.cells import CellIndex, Int32, Int64, is_lower, slot_of
 from ptd.frame import Cells
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 
 SMALL_STACK = 24
 """Up to so many points insertion alone sorts faster than sorting does."""
@@ -115,3 +115,33 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: Raster, x3: int, y3: int
                         best = i
                     break  # what follows in the stack is not lower
     return best
+
+
+@kernel
+def places_in_stacks(
+    of_x: Int32, of_y: Int32, of_z: Int32, x: Int32, y: Int32, z: Int32, raster: Raster
+) -> Int32:
+    """Where points are in `Stacks`, -1 for those that are in none: int32 [n].
+
+    Parameters
+    ----------
+    of_x, of_y, of_z : int32 [n]
+        Local counts, in any order. Of points in one place any may be given.
+    x, y, z : int32
+        Of `Stacks`.
+    raster : Raster
+    """
+    found = np.full(of_x.size, -1, np.int32)
+    for k in range(of_x.size):
+        column = (wide(of_x[k]) + raster.origin_x) * raster.q // raster.p - raster.col0
+        row = (wide(of_y[k]) + raster.origin_y) * raster.q // raster.p - raster.row0
+        slot = slot_of(raster.slots, raster.keys, raster.width, raster.height, column, row)
+        if slot < 0:
+            continue
+        for i in range(raster.starts[slot], raster.starts[slot + 1]):
+            if z[i] > of_z[k]:
+                break
+            if z[i] == of_z[k] and x[i] == of_x[k] and y[i] == of_y[k]:
+                found[k] = i
+                break
+    return found

@@ -7,6 +7,7 @@ cloud thinned beforehand, where the lowest point of a cell may be none of the te
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -153,12 +154,30 @@ class Tally:
         )  # fmt: skip
 
 
+class Round(NamedTuple):
+    """The TIN that points are tested against in a round.
+
+    Attributes
+    ----------
+    tin : Tin
+    in_doubt : uint8 [triangles]
+        See `ptd.certify.Doubt.triangles`.
+    vertex : bool [n]
+        Points of the stacks that are its vertices.
+    """
+
+    tin: Tin
+    in_doubt: UInt8
+    vertex: Bool
+
+
 def densify_thinned(
     stacks: Stacks, seeds: Int32, virtual: Int32, limits: Limits, doubt: Doubt
-) -> Iterator[tuple[Tin, UInt8]]:
+) -> Iterator[Round]:
     """The TINs of round after round: of the seeds, then of the lowest terrain points per cell.
 
-    They end when the next would be the same here and beyond the window.
+    They end when the next would be the same here and beyond the window. A vertex stays until a lower point of its cell
+    becomes one, and never comes back: when points became vertices tells the vertices of each round.
 
     Parameters
     ----------
@@ -175,9 +194,7 @@ def densify_thinned(
 
     Yields
     ------
-    tin : Tin
-    in_doubt : uint8 [triangles]
-        See `ptd.certify.Doubt.triangles`.
+    Round
     """
     x, y, z = stacks.x, stacks.y, stacks.z
     vertex = np.zeros(x.size, np.bool_)
@@ -188,7 +205,7 @@ def densify_thinned(
         chosen = np.flatnonzero(vertex)
         tin = Tin.build(*(np.concatenate([c[chosen], virtual[:, k]]) for k, c in enumerate((x, y, z))))
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
-        yield tin, in_doubt
+        yield Round(tin, in_doubt, vertex)
         kept = np.zeros(x.size, np.bool_)
         _test_stacks(
             tin.vertex_array, tin.triangle_array, x, y, z, stacks.starts, limits, in_doubt, vertex, doubtful, kept

@@ -61,7 +61,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import lowest_per_cell
+from ptd.cells import lowest_per_cell, positions
 from ptd.certify import Doubt
 from ptd.densify import REFUSED, VERTEX, densify
 from ptd.elevations import ElevationsPass, outside
@@ -280,11 +280,11 @@ class ChenModel(Model):
         """Step 4: the points that are noise among the seeds; what is not certain about it is put in doubt."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # No two seeds share a position, nor does one with the ring: the ring lies in cells without seeds.
-        real = ~_among(_keys(vx, vy), _keys(ring[:, 0], ring[:, 1]))
+        real = ~_among(positions(vx, vy), positions(ring[:, 0], ring[:, 1]))
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
         noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), in_doubt)
         doubt.add_points(vx, vy, unsure)
-        return seeds[_among(_keys(x[seeds], y[seeds]), _keys(vx[noise], vy[noise]))]
+        return seeds[_among(positions(x[seeds], y[seeds]), positions(vx[noise], vy[noise]))]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Labels and marks of points of the window."""
@@ -295,11 +295,6 @@ class ChenModel(Model):
         below, _ = outside(points.xyz[2], self._scale, self._tails)
         labels[below & (labels != GROUND)] = LOW_NOISE
         return labels, marked
-
-
-def _keys(x: Int32, y: Int32) -> npt.NDArray[np.int64]:
-    """One number for each position."""
-    return (x.astype(np.int64) << 32) + y
 
 
 def _among(keys: npt.NDArray[np.int64], few: npt.NDArray[np.int64]) -> Bool:

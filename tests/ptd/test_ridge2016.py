@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 import ptd
 from ptd.frame import OPEN, Scale, Window
 from ptd.methods import make_params
-from ptd.methods.ridge2016 import Ridge2016, last_round
+from ptd.methods.ridge2016 import Ridge2016
+from ptd.methods.ridge2016_passes import SEED, last_round
 from ptd.passes import Points
 from ptd.tin.mesh import Tin
 
@@ -89,7 +90,9 @@ def test_any_few_points_are_labelled(points: list[tuple[int, int, int]], spacing
     counts = first.fit(Points(cloud), window, window, SCALE, {})
     state = first.reduce([counts.partial()], {})
     assert counts.stats["points"] == state["ridge2016"]["points"] == len(points)
-    labels, marked = last.fit(Points(cloud), window, window, SCALE, state).label(Points(cloud))
+    codes, _ = counts.label(Points(cloud))
+    given = Points(cloud, codes)
+    labels, marked = last.fit(given, window, window, SCALE, state).label(given)
     assert set(labels.tolist()) <= {1, 2, 7}
     assert labels.size == marked.size == len(points)
 
@@ -148,14 +151,36 @@ def test_without_a_growth_to_watch_there_is_one_pass() -> None:
     assert only.reduce([model.partial()], {"kept": 1}) == {"kept": 1}
 
 
-def test_the_last_pass_runs_the_rounds_that_were_decided() -> None:
+def test_the_last_pass_has_the_tin_of_the_round_that_was_decided() -> None:
     cloud = SCENES["hills_with_houses"](np.random.default_rng(7))
-    result = ptd.classify(cloud.T / CM, "ridge2016", Ridge2016(growth=0.01))
+    params = Ridge2016(growth=0.01)
+    result = ptd.classify(cloud.T / CM, "ridge2016", params)
     statistics = result.decisions["statistics"]["ridge2016"]
-    assert result.stats["ridge2016"]["rounds"] == statistics["rounds"] < result.stats["growth"]["rounds"]
+    # The whole run in one window ends there; a tile counts all rounds and takes its TIN of that one.
+    last = statistics["rounds"]
+    assert result.stats["ridge2016"]["rounds"] == result.stats["growth"]["rounds"] == last < params.rounds
+    one = ptd.classify(cloud.T / CM, "ridge2016", Ridge2016(growth=0.0, rounds=last))
+    assert np.array_equal(one.classification, result.classification)
+    assert one.stats["ridge2016"]["vertices"] == result.stats["ridge2016"]["vertices"]
+    assert one.stats["ridge2016"]["seeds"] == result.stats["growth"]["seeds"]
     assert len(statistics["gained"]) == statistics["rounds"]
     assert statistics["gained"][-1] <= 0.01 * statistics["points"] < min(statistics["gained"][:-1])
     assert statistics["points"] == cloud.shape[1]
+
+
+def test_codes_of_vertices_are_the_rounds_in_which_they_became_such() -> None:
+    cloud = SCENES["hills_with_houses"](np.random.default_rng(7))
+    model = SMALL.passes[0].fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {})
+    codes, marked = model.label(Points(cloud))
+    assert not marked.any()
+    assert set(codes.tolist()) == {1, 7, SEED, SEED + 1, SEED + 2, SEED + 3}
+    assert (codes == SEED).sum() == model.stats["seeds"] + model.stats["ridge_points"] - model.stats[
+        "dropped_seeds"
+    ]
+    order = np.random.default_rng(0).permutation(cloud.shape[1])
+    assert np.array_equal(model.label(Points(np.ascontiguousarray(cloud[:, order])))[0], codes[order])
+    stranger = cloud[:, :1] + np.array([[0], [0], [1]], np.int32)
+    assert model.label(Points(stranger.astype(np.int32)))[0].tolist() == [1]
 
 
 def tiled(
@@ -216,6 +241,17 @@ def test_unmarked_labels_of_any_window_are_those_of_the_untiled_run(seed: int) -
     inside = cut(cloud, window)
     part = np.ascontiguousarray(cloud[:, inside])
     labels, marked = params.passes[-1].fit(Points(part), window, window, SCALE, {}).label(Points(part))
+    assert not (~marked & (labels != truth[inside])).any()
+    first, last = replace(params, growth=0.001).passes
+    whole = first.fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {})
+    state = first.reduce([whole.partial()], {})
+    codes, _ = whole.label(Points(cloud))
+    labels, marked = first.fit(Points(part), window, window, SCALE, {}).label(Points(part))
+    labels[labels >= SEED + state["ridge2016"]["rounds"]] = 1  # a whole run stops there
+    assert not (~marked & (labels != codes[inside])).any()
+    truth = labels_of(cloud, replace(params, rounds=state["ridge2016"]["rounds"]))
+    given = Points(part, codes[inside])
+    labels, marked = last.fit(given, window, window, SCALE, state).label(given)
     assert not (~marked & (labels != truth[inside])).any()
 
 

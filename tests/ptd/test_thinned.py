@@ -34,7 +34,7 @@ def tins(
     steps = densify_thinned(
         stacks, np.flatnonzero(own).astype(np.int32), CORNERS.astype(np.int32), limits, doubt
     )
-    return [tin for tin, _ in islice(steps, rounds)], stacks
+    return [step.tin for step in islice(steps, rounds)], stacks
 
 
 def rows(tin: Tin) -> set[tuple[int, ...]]:
