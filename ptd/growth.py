@@ -82,10 +82,10 @@ class Growth(Model):
         self.stage, self.threshold, self.scale = stage, threshold, scale
         cells = Cells.of(stage.cell_m, scale)
         known = window.inside(cells, REACH) if stage.rim else window
-        x, y, z = columns(points)
+        x, y, z = points.columns()
         box = box_with_ring(x, y, cells) if x.size else (0, 0, 1, 1)
         self._doubt = Doubt(known, known, box, scale)
-        labels = labels_of(points)
+        labels = points.known_labels()
         ground = labels == GROUND
         self._trials = [self._trial(points, ground, cells, 0)]
         for salt in range(1, stage.tins):
@@ -105,8 +105,8 @@ class Growth(Model):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """What passes in one of the TINs is ground; all other labels stay."""
-        x, y, z = columns(points)
-        labels = labels_of(points).copy()
+        x, y, z = points.columns()
+        labels = points.known_labels().copy()
         todo, marked = labels == UNCLASSIFIED, np.zeros(x.size, np.bool_)
         for trial in self._trials:
             passed, doubtful = trial.test(x, y, z, todo, self.threshold, self._doubt)
@@ -121,21 +121,8 @@ class Growth(Model):
 def picks(points: Points, ground: Bool, cells: Cells, salt: int) -> Int64:
     """Indices of one random point of each cell that holds ground."""
     index = np.flatnonzero(ground)
-    x, y, z = (np.ascontiguousarray(c) for c in points.xyz[:, index])
+    x, y, z = points.take(index).columns()
     return index[picked_per_cell(x, y, z, cells, salt)]
-
-
-def columns(points: Points) -> tuple[Int32, Int32, Int32]:
-    """x, y, z, each contiguous."""
-    x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
-    return x, y, z
-
-
-def labels_of(points: Points) -> UInt8:
-    """Labels that a pass asked for."""
-    if points.labels is None:
-        raise ValueError("the pass was given no labels")
-    return points.labels
 
 
 def _doubt_cells(doubt: Doubt, cells: Cells, x: Int32, y: Int32, ground: Bool, doubtful: Bool) -> None:

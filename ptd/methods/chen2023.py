@@ -280,11 +280,11 @@ class ChenModel(Model):
         """Step 4: the points that are noise among the seeds; what is not certain about it is put in doubt."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # No two seeds share a position, nor does one with the ring: the ring lies in cells without seeds.
-        real = ~_among(positions(vx, vy), positions(ring[:, 0], ring[:, 1]))
+        real = np.isin(positions(vx, vy), positions(ring[:, 0], ring[:, 1]), invert=True)
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
         noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), in_doubt)
         doubt.add_points(vx, vy, unsure)
-        return seeds[_among(positions(x[seeds], y[seeds]), positions(vx[noise], vy[noise]))]
+        return seeds[np.isin(positions(x[seeds], y[seeds]), positions(vx[noise], vy[noise]))]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Labels and marks of points of the window."""
@@ -295,14 +295,6 @@ class ChenModel(Model):
         below, _ = outside(points.xyz[2], self._scale, self._tails)
         labels[below & (labels != GROUND)] = LOW_NOISE
         return labels, marked
-
-
-def _among(keys: npt.NDArray[np.int64], few: npt.NDArray[np.int64]) -> Bool:
-    """Which of many keys are among a few."""
-    ordered = np.sort(few)
-    place = np.searchsorted(ordered, keys)
-    found: Bool = np.append(ordered, 0)[place] == keys
-    return found & (place < ordered.size)
 
 
 def _triangulate(x: Int32, y: Int32, z: Int32, seeds: Bool, ring: Int32) -> Tin:

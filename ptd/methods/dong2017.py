@@ -43,15 +43,14 @@ from dataclasses import dataclass
 
 from ptd import roughness
 from ptd.growth import Stage
-from ptd.methods.dong2017_passes import (
+from ptd.methods.dong2017_ground import (
     MEASURED_CELLS,
     Densification,
     FirstGround,
     FirstMeasurement,
     Measurement,
-    SeedPass,
-    Survey,
 )
+from ptd.methods.dong2017_seeds import SeedPass, Survey
 from ptd.params import check, parameter
 from ptd.passes import Method, Pass
 

@@ -15,7 +15,9 @@ from ptd import classify
 from ptd.even_tin import BINS, EvenTin
 from ptd.frame import Scale, Window
 from ptd.methods.classic import Classic
-from ptd.methods.dong2018 import JOINED, Dong2018, MeasurePass, NoisePass, even_edge_m
+from ptd.methods.dong2018 import Dong2018
+from ptd.methods.dong2018_passes import NoisePass, even_edge_m
+from ptd.methods.dong2018_scales import JOINED, MeasurePass
 from ptd.passes import MethodRefusal, Points
 
 from .tiling import classify_tiled

@@ -1,4 +1,4 @@
-"""The passes of `ptd.methods.dong2017`."""
+"""The first passes of `ptd.methods.dong2017`: greenness, density and noise of the run, then seeds beside facades."""
 
 from __future__ import annotations
 
@@ -13,31 +13,19 @@ import numpy.typing as npt
 
 from ptd import roughness
 from ptd.cells import Int32, lowest_per_cell
-from ptd.contour import contour_reach
-from ptd.facades import FacadeRule, Facades, density_of, facade_threshold, on_podium
+from ptd.facades import FacadeRule, Facades, density_of, facade_threshold
 from ptd.frame import Cells, Scale, Window
 from ptd.greenness import BINS, COLOURLESS, gli_bins, green_from, index_of_bin
-from ptd.growth import Growth, Stage, columns, labels_of, picks
 from ptd.labelling import GROUND, UNCLASSIFIED
-from ptd.passes import MethodRefusal, Model, Pass, Points, State, UInt8
-from ptd.thresholds import second_difference_jump
-from ptd.tin.mesh import Tin
-from ptd.trial import Bins, Bool, Int64, Threshold, Trial
+from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
+from ptd.podiums import on_podium
+from ptd.trial import Bool
 
 if TYPE_CHECKING:
     from ptd.methods.dong2017 import Dong2017
 
 VEGETATION = 5
 """Label between passes: no ground by its colour. Seeds are `GROUND`, all else `UNCLASSIFIED`."""
-
-PLANE = Bins(0.025, 120, 0.01, 60)
-"""Histogram of distances and angles: eight times the published thresholds in distance, nearly twice in angle."""
-
-JUMP_BINS = 2
-"""Bins of distance that are taken together to look for the jump."""
-
-MEASURED_CELLS = 2
-"""Largest circumradius of a facet of ground whose points are measured, in cells."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +41,10 @@ class Survey(Pass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         """Count greenness and points per cell; measure planar patches."""
-        own = _inside(points, core)
+        own = core.has(points.xyz[0], points.xyz[1])
         bins = gli_bins(_rgb(points))
         counts = np.bincount(bins[own & (bins != COLOURLESS)], minlength=BINS)
-        x, y, _ = columns(points)
+        x, y, _ = points.columns()
         cells = Cells.of(self.params.facade_cell_m, scale)
         found: dict[str, Any] = {
             "gli": counts.tolist(), "points": int(own.sum()), "cells": _points_by_count(x, y, cells, own),
@@ -84,7 +72,7 @@ class Survey(Pass):
         )  # fmt: skip
         return {
             **state, "green_from": green, "density_m2": density, "sigma_m": sigma,
-            "notes": [*state.get("notes", []), vegetation, f"noise {sigma:g} m ({origin}), {density:.1f} points/m2"],
+            "notes": noted(state, vegetation, f"noise {sigma:g} m ({origin}), {density:.1f} points/m2"),
         }  # fmt: skip
 
 
@@ -123,129 +111,7 @@ class SeedPass(Pass):
         note = (
             f"facades: {total['facade_points']:,} points in dense cells; {total['seeds']:,} seeds beside them"
         )
-        return {**state, "seeds": total["seeds"], "notes": [*state["notes"], note]}
-
-
-@dataclass(frozen=True)
-class FirstMeasurement(Pass):
-    """Step 5: distances of all points to the TIN of the seeds."""
-
-    params: Dong2017
-    widest_m: float
-    reach_m: float | None
-    name: str = "measure-first"
-    columns: tuple[str, ...] = ("labels",)
-    every_point: bool = True
-    gives_labels: bool = False
-
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
-        """Count the open points of the core in compact facets."""
-        labels = labels_of(points)
-        tin = Tin.build(*points.xyz[:, labels == GROUND])
-        trial = Trial(tin, scale, self.widest_m)
-        return _measured(trial, points, core, labels == UNCLASSIFIED)
-
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """The first distance by the jump; the angle of the contour below it."""
-        plane = _summed(partials)
-        rows = plane.sum(axis=1).reshape(-1, JUMP_BINS).sum(axis=1)
-        jump = second_difference_jump(rows.tolist())
-        within = plane[: (jump or 0) * JUMP_BINS]
-        contour = _contour(within, self.params.contour_level)
-        if jump is None or contour is None:
-            raise MethodRefusal(
-                f"no jump in the distances to the TIN of {state['seeds']} seeds: too few seeds near each other; "
-                "use another method, or --set seed_cell to something larger"
-            )
-        found = Threshold(jump * JUMP_BINS * PLANE.distance_m, contour.angle_rad)
-        return _with_threshold(state, "first TIN of seeds", found)
-
-
-@dataclass(frozen=True)
-class FirstGround(Pass):
-    """Step 5: the points within the first thresholds of the seeds' TIN."""
-
-    stage: Stage
-    reach_m: float | None
-    name: str = "first"
-    columns: tuple[str, ...] = ("labels",)
-    every_point: bool = True
-
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
-        """Build the TIN of the seeds."""
-        return Growth(self.stage, Threshold(**state["threshold"]), points, window, scale)
-
-
-@dataclass(frozen=True)
-class Measurement(Pass):
-    """Step 6: distances and angles of the ground found so far to a TIN of one point per cell."""
-
-    params: Dong2017
-    name: str
-    spacing_m: float
-    reach_m: float | None
-    columns: tuple[str, ...] = ("labels",)
-    every_point: bool = True
-    gives_labels: bool = False
-
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
-        """Count the ground points of the core that are no vertices."""
-        ground = labels_of(points) == GROUND
-        vertices = points.xyz[:, picks(points, ground, Cells.of(self.spacing_m, scale), 0)]
-        trial = Trial(Tin.build(*vertices), scale, MEASURED_CELLS * self.spacing_m)
-        return _measured(trial, points, core, ground)
-
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """Reach of the outer contour."""
-        contour = _contour(_summed(partials), self.params.contour_level)
-        if contour is None:
-            raise MethodRefusal(
-                f"no ground near the TIN of {state['seeds']} seeds to measure at {self.spacing_m:g} m; "
-                "use another method"
-            )
-        return _with_threshold(state, f"TIN of {self.spacing_m:g} m", contour)
-
-
-@dataclass(frozen=True)
-class Densification(Pass):
-    """Step 6: points that pass in one of several TINs of one density."""
-
-    name: str
-    stage: Stage
-    last: bool
-    halo_m: float | None
-    columns: tuple[str, ...] = ("labels",)
-    every_point: bool = True
-
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
-        """Build the TINs."""
-        kind = FinalGrowth if self.last else Growth
-        return kind(self.stage, Threshold(**state["threshold"]), points, window, scale)
-
-
-class FinalGrowth(Growth):
-    """Its labels are the final ones."""
-
-    def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Vegetation is unclassified in the end."""
-        labels, marked = super().label(points)
-        labels[labels == VEGETATION] = UNCLASSIFIED
-        return labels, marked
-
-
-class Measured(Model):
-    """A window of a pass that only measures."""
-
-    def __init__(self, partial: dict[str, Any], stats: dict[str, Any]) -> None:
-        self._partial, self.stats = partial, stats
-
-    def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Not called."""
-        raise NotImplementedError("the pass gives no labels")
-
-    def partial(self) -> dict[str, Any]:
-        """Of the core."""
-        return self._partial
+        return {**state, "seeds": total["seeds"], "notes": noted(state, note)}
 
 
 class SeedModel(Model):
@@ -263,15 +129,15 @@ class SeedModel(Model):
             )
             facades = Facades(x, y, z, Cells.of(params.facade_cell_m, scale), least)
             inside = facades.points()
-            self._facade_points = int(_within(x[inside], y[inside], core).sum())
+            self._facade_points = int(core.has(x[inside], y[inside]).sum())
             chosen = _seeds(params, facades, scale, state["sigma_m"])
         self._seeds = {tuple(v) for v in np.stack([x, y, z], axis=1)[chosen].tolist()}
-        self._own = int(_within(x[chosen], y[chosen], core).sum())
+        self._own = int(core.has(x[chosen], y[chosen]).sum())
         self.stats = {"seeds": len(self._seeds), "facade_cells": int(facades.holds.sum()) if x.size else 0}
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Vegetation, seeds, the rest."""
-        x, y, z = columns(points)
+        x, y, z = points.columns()
         labels = np.full(x.size, UNCLASSIFIED, np.uint8)
         if self._seeds:
             seeds = np.array(sorted(self._seeds), np.int32).T
@@ -312,38 +178,6 @@ def _sigma(given: float | None, patches: list[dict[str, Any]]) -> tuple[float, s
     return found.sigma_m, f"from {found.patches:,} planar patches"
 
 
-def _measured(trial: Trial, points: Points, core: Window, which: Bool) -> Measured:
-    """The chosen points of the core in the plane of distances and angles."""
-    counts = trial.count(*columns(points), which & _inside(points, core), PLANE)
-    return Measured({"plane": counts.tolist()}, {"measured": int(counts.sum())})
-
-
-def _summed(partials: Iterable[dict[str, Any]]) -> Int64:
-    plane = np.zeros((PLANE.distances, PLANE.angles), np.int64)
-    for partial in partials:
-        plane += np.array(partial["plane"], np.int64)
-    return plane
-
-
-def _contour(plane: Int64, level: float) -> Threshold | None:
-    """Largest distance and angle of the outer contour around the plane's peak; None without counts."""
-    found = contour_reach(plane, max(level * plane.max(), 1.0)) if plane.size else None
-    return None if found is None else Threshold(found[0] * PLANE.distance_m, found[1] * PLANE.angle_rad)
-
-
-def _with_threshold(state: State, where: str, found: Threshold) -> dict[str, Any]:
-    note = f"{where}: distance {found.distance_m:.3f} m, angle {found.angle_rad:.3f} rad"
-    before = state.get("threshold")
-    if before is not None:
-        shrinks, grows = found.distance_m <= before["distance_m"], found.angle_rad >= before["angle_rad"]
-        odd = [
-            *([] if shrinks else ["distance does not shrink"]),
-            *([] if grows else ["angle does not grow"]),
-        ]
-        note += f" ({' and '.join(odd)}, unlike in the paper)" if odd else ""
-    return {**state, "threshold": found._asdict(), "notes": [*state["notes"], note]}
-
-
 def _points_by_count(x: Int32, y: Int32, cells: Cells, own: Bool) -> list[list[int]]:
     """[number, points of the core in cells with so many points], in the order of the numbers."""
     if not x.size:
@@ -355,15 +189,6 @@ def _points_by_count(x: Int32, y: Int32, cells: Cells, own: Bool) -> list[list[i
     _, slot, counts = np.unique(keys, return_inverse=True, return_counts=True)
     found, points = np.unique(counts[slot[own]], return_counts=True)
     return [[int(n), int(p)] for n, p in zip(found, points, strict=True)]
-
-
-def _within(x: Int32, y: Int32, window: Window) -> Bool:
-    found: Bool = (x >= window.west) & (x < window.east) & (y >= window.south) & (y < window.north)
-    return found
-
-
-def _inside(points: Points, window: Window) -> Bool:
-    return _within(points.xyz[0], points.xyz[1], window)
 
 
 def _rgb(points: Points) -> npt.NDArray[np.uint16]:

@@ -1,0 +1,78 @@
+"""Seeds of a town that lie on podiums or lower roofs.
+
+Source: Dong 2017 (004), section 3.1, step 4, and equation 1.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import CellIndex, Int32, Int64, slot_of
+from ptd.frame import Cells, Scale
+from ptd.kernel import kernel
+
+Bool = npt.NDArray[np.bool_]
+
+NOISE_QUANTILE = 1.65
+"""Of a difference of two heights in equation 1, sqrt(2) sigma each time."""
+
+
+@kernel
+def _overhung(
+    x: Int32, y: Int32, z: Int32, slots: Int32, keys: Int64, starts: Int64, order: Int64, width: int, height: int,
+    columns: Int64, rows: Int64, radius: float, slope: float, noise: float, z_ratio: float,
+) -> Bool:  # fmt: skip
+    out = np.zeros(x.size, np.bool_)
+    for i in range(x.size):
+        for row in range(rows[i] - 1, rows[i] + 2):
+            for column in range(columns[i] - 1, columns[i] + 2):
+                slot = slot_of(slots, keys, width, height, column, row)
+                if slot < 0:
+                    continue
+                for k in range(starts[slot], starts[slot + 1]):
+                    j = order[k]
+                    dx, dy = float(x[j] - x[i]), float(y[j] - y[i])
+                    apart = math.sqrt(dx * dx + dy * dy)
+                    above = (float(z[i]) - float(z[j])) * z_ratio
+                    if apart <= radius and above > slope * apart + noise:
+                        out[i] = True
+    return out
+
+
+def on_podium(
+    x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, slope: float, sigma_m: float
+) -> Bool:
+    """Seeds that lie on a podium or a lower roof: too high above another seed nearby (004, 3.1, step 4).
+
+    The paper keeps the lower of any two seeds in a neighbourhood, which on a hillside would leave the one at the
+    bottom. So the upper one has to be higher than ground can be at that distance d by the paper's own equation 1,
+    ``0.3 d + 1.65 sqrt(2) sigma``. All are judged against all, then dropped together: order changes nothing.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts of seeds.
+    radius_m : float
+        Neighbourhood, metres.
+    slope : float
+        Metres per metre.
+    sigma_m : float
+
+    Returns
+    -------
+    bool [n]
+    """
+    if x.size == 0:
+        return np.zeros(0, np.bool_)
+    cells = Cells.of(radius_m, scale)
+    i = CellIndex(x, y, cells)
+    columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p - i.col0
+    rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p - i.row0
+    noise = NOISE_QUANTILE * math.sqrt(2.0) * scale.counts(sigma_m)
+    return _overhung(
+        x, y, z, i.slots, i.keys, i.starts, i.order, i.width, i.height, columns, rows,
+        scale.counts(radius_m), slope, noise, scale.z_ratio,
+    )  # fmt: skip
