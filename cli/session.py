@@ -43,7 +43,7 @@ class TilerCommand(click.Command):
         self.params.extend((
             click.Option(
                 ("-v", "--verbose"), count=True, expose_value=False, is_eager=True, callback=_louder,
-                help="say more; -vv: everything, and tracebacks [default: warnings only]",
+                help="say more; -vv: everything, and tracebacks [default: progress, notes and warnings]",
             ),
             click.Option(
                 ("-q", "--quiet"), is_flag=True, expose_value=False, is_eager=True, callback=_quieter,

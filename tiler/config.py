@@ -38,7 +38,7 @@ class RunConfig:
     )  # fmt: skip
     method: str = setting("auto", "ground filter (see `tiler methods`); `keep` trusts the input's classes")
     parameters: tuple[tuple[str, str], ...] = setting(
-        (), "parameters of the method, name=value", kind="pairs"
+        (), "parameters of the method, name=value (`tiler methods NAME` lists them)", kind="pairs"
     )
     ground_classes: tuple[int, ...] = setting(
         (2,), "classes that `--method keep` grids as ground", kind="classes"
@@ -81,7 +81,7 @@ class RunConfig:
         "too) before it is taken for hung and replaced", unit="s", kind="int",
     )  # fmt: skip
     scheduler: str | None = setting(
-        None, "address of a running Dask scheduler; default: workers on this machine"
+        None, "address of a running Dask scheduler (tcp://host:8786); default: workers on this machine"
     )
     store: str | None = setting(None, "where the tile store lies; default OUT/store.zarr")
     crs: str | None = setting(
@@ -109,7 +109,7 @@ class RunConfig:
     nodata: float = setting(NODATA, "value of pixels without a height in rasters of heights and slopes (-999999 for "
                             "USGS)", unit="as the raster", kind="nodata")  # fmt: skip
     compress: str = setting("deflate", "compression of rasters", kind="choice", choices=("deflate", "zstd"))
-    on_error: str = setting("skip", "what a broken file or tile does to the run", kind="choice",
+    on_error: str = setting("skip", "a broken file or tile is left out (exit code 5), or stops the run", kind="choice",
                             choices=("skip", "stop"))  # fmt: skip
     salvage: bool = setting(
         False, "read what is there of a truncated file instead of leaving it out", kind="flag"

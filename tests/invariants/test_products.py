@@ -13,6 +13,7 @@ from rio_cogeo import cog_validate
 from tests.invariants import clouds
 from tests.invariants.clouds import Cloud
 from tests.invariants.runs import computed, do
+from tests.tiler.report import results
 from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, NODATA, PRODUCTS
 from tiler.errors import ConfigError
 
@@ -148,6 +149,8 @@ def test_sheets_are_the_raster_cut(made: Path, quarter_files: list[Path], tmp_pa
                 assert sheet.shape == (300, 300)
                 assert path.stem == f"{name}_{sheet.bounds.left:.0f}_{sheet.bounds.bottom:.0f}"
     assert do(quarter_files, out, **options).did_nothing
+    shown = results.read(out / "report.html").data["pictures"]
+    assert [picture["name"] for picture in shown] == ["hillshade", "dtm", "mask"]
     (out / "dtm" / sheets[0].name.replace("mask", "dtm")).unlink()
     assert computed(do(quarter_files, out, **options))["export"] == 1
 

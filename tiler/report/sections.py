@@ -163,10 +163,13 @@ def decisions(run: Run) -> Node:
 
 
 def _measured(statistics: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Pass, figure and value; what a pass only hands on from those before is told once."""
+    """Pass, figure and value; what a pass only hands on from those before, so knowing more than they, is told once."""
     known: dict[str, str] = {}
-    for step, state in statistics.items():
-        new = {name: text for name, text in _flat("", state) if known.get(name) != text}
+    found = sorted(
+        ((step, dict(_flat("", state))) for step, state in statistics.items()), key=lambda s: len(s[1])
+    )
+    for step, state in found:
+        new = {name: text for name, text in state.items() if known.get(name) != text}
         known |= new
         yield from ((step, name, text) for name, text in new.items() if not name.endswith("notes"))
 
