@@ -38,7 +38,10 @@ PLANE_M = 0.6
 """Root mean square of a roof's cells about their plane."""
 BEYOND_CELLS = 3
 """From a roof's level cells to the ground beside it: the edge itself takes the cells between."""
-PART_CELLS = 1000
+PART_CELLS = 500
+"""Sides of the parts in which terrain is looked at: memory is that of one."""
+STRIP_ROWS = 512
+"""Pixels of a part that are read at once."""
 
 
 def before(
@@ -104,7 +107,7 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
         top, left = max(block.row - pad, 0), max(block.col - pad, 0)
         bottom = min(block.row + block.height + pad, spec.height)
         right = min(block.col + block.width + pad, spec.width)
-        part = pooled(store.read_block(name, Block(top, left, bottom - top, right - left)), times)
+        part = _part(store, name, Block(top, left, bottom - top, right - left), times)
         heights = np.where(part == np.float32(NODATA), np.nan, part) * float(frame.units.vertical)
         for width, row, col in roofs(heights, pixel * times):
             if width > widest:
@@ -122,6 +125,14 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
 def _place(store: TileStore, spec: RasterSpec, row: int, col: int) -> tuple[float, float]:
     a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
     return x + a * col, y + e * row
+
+
+def _part(store: TileStore, name: str, part: Block, times: int) -> Float64:
+    """Pooled heights of a part, read strip by strip."""
+    step = max(STRIP_ROWS // times, 1) * times
+    last = part.row + part.height
+    strips = [Block(row, part.col, min(step, last - row), part.width) for row in range(part.row, last, step)]
+    return np.concatenate([pooled(store.read_block(name, strip), times) for strip in strips])
 
 
 def pooled(heights: npt.NDArray[np.float32], times: int) -> Float64:

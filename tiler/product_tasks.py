@@ -7,14 +7,14 @@ Besides the products there are rasters that only the store holds: ``occupancy`` 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
 from tiler import __version__
 from tiler.config import RunConfig
-from tiler.core.lattice import Cell, Lattice
+from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid import (
@@ -60,11 +60,18 @@ MAX_COARSE_CELLS = 8_000_000
 
 @dataclass
 class Gridding:
-    """What the stage grid works on, and what it has made: name of a raster -> commits of its blocks."""
+    """What the stage grid works on, and what it has made: name of a raster -> commits of its blocks.
+
+    Attributes
+    ----------
+    holes : sequence of Bounds
+        Where tiles failed, so that heights there, if any, come from elsewhere.
+    """
 
     plan: Plan
     assembled: Assembled
     labels: Mapping[Cell, str]
+    holes: Sequence[Bounds] = ()
     made: dict[str, Commits] = field(default_factory=dict)
 
     @property
@@ -234,7 +241,9 @@ def _mask_tasks(g: Gridding) -> Iterator[Task]:
     survey = checksums(g.made["survey"])
     erode = math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))
     for block in spec.blocks(GRID_BLOCK):
-        arguments = {**common, "block": _of_block(block)}
+        bounds = spec.block_bounds(block)
+        holes = [hole.to_json() for hole in g.holes if hole.overlaps(bounds)]
+        arguments = {**common, "block": _of_block(block), "holes": holes}
         rasters = [
             g.made[name][block.name][1]["checksum"] for name in ("dtm", heights) if block.name in g.made[name]
         ]

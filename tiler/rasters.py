@@ -11,7 +11,8 @@ import numpy as np
 
 from ptd.warm import warm_gridding
 from tiler.advice import roofs_in_terrain
-from tiler.core.lattice import Cell
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell
 from tiler.core.products import MASK_VALUES
 from tiler.core.raster import RasterSpec
 from tiler.earlier import put_aside
@@ -29,7 +30,7 @@ RASTERS = (".tif", ".vrt")
 
 def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
     """All rasters that the products need, block by block."""
-    gridding = Gridding(job.plan, assembled, labels)
+    gridding = Gridding(job.plan, assembled, labels, _holes(job))
     for name in wanted(job.plan.config):
         tasks = list(raster_tasks(name, gridding))
         gridding.made[name] = _raster(job, gridding, name, tasks)
@@ -39,6 +40,12 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
     if "mask" in gridding.made:
         _tell_of_mask(job, gridding.made["mask"])
     return gridding
+
+
+def _holes(job: Job) -> list[Bounds]:
+    """Where tiles or buckets failed, absolute counts."""
+    found = [f["bounds"] for f in job.failed if f["stage"].startswith(("assemble", "filter")) and f["bounds"]]
+    return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in found]
 
 
 def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commits:

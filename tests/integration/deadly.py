@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tiler.filter import filter_tile
+from tiler.ingest import assemble_buckets
 
 CELL = "TILER_TEST_DEADLY_CELL"
 DEED = "TILER_TEST_DEED"
@@ -26,3 +27,11 @@ def deadly_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         if deed == "sleep":
             time.sleep(600)
     return filter_tile(store_url, args)
+
+
+def failing_group(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """`assemble_buckets`, but for the group that holds a bucket named in the environment."""
+    cell = [int(v) for v in os.environ[CELL].split(",")]
+    if any(bucket[:2] == cell for bucket in args["buckets"]):
+        raise RuntimeError("this group fails")
+    return assemble_buckets(store_url, args)

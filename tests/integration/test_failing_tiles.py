@@ -8,14 +8,16 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+import rasterio
 
 from tests.integration import deadly
 from tests.invariants import clouds
 from tests.invariants.runs import do, dtm, output_digests, the_store
 from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.products import HOLE
 from tiler.errors import ProcessingError
 
-SETTINGS = {"in_process": False, "workers": 2, "tile_size": "64"}
+SETTINGS = {"in_process": False, "workers": 2, "tile_size": "64", "products": "dtm,mask"}
 
 
 @pytest.fixture(scope="module")
@@ -79,10 +81,51 @@ def test_a_deadly_tile_leaves_a_hole_that_is_told(
     assert np.array_equal(np.asarray(before.classification)[inside], np.asarray(after.classification)[inside])
     assert (np.asarray(after.classification)[~inside] == 2).sum() > 1000
     assert (dtm(out)[0] != -9999).mean() > 0.5
+    assert_hole_in_mask(out, failed["bounds"])
     # What was passing is gone: the same command ends in the bytes of a run in peace.
     monkeypatch.setenv(deadly.CELL, "0,0")
     assert do(cloud, out, parameters=parameters, **SETTINGS, **settings).exit_code == 0
-    do(cloud, tmp_path / "peace", tile_size="64", parameters=parameters)
+    do(cloud, tmp_path / "peace", tile_size="64", products="dtm,mask", parameters=parameters)
+    assert output_digests(out) == output_digests(tmp_path / "peace")
+
+
+def assert_hole_in_mask(out: Path, bounds: list[float]) -> None:
+    """All pixels of a place are holes, and hardly any others."""
+    with rasterio.open(out / "mask.tif") as raster:
+        mask, transform = raster.read(1), raster.transform
+    y, x = np.mgrid[: mask.shape[0], : mask.shape[1]] + 0.5  # pixels of a metre
+    x, y = transform.c + x, transform.f - y
+    west, south, east, north = bounds
+    inside = (x >= west) & (x < east) & (y >= south) & (y < north)
+    assert inside.sum() > 500
+    assert (mask[inside] == HOLE).all()
+    assert (mask[~inside] == HOLE).mean() < 0.05
+
+
+def test_buckets_that_fail_leave_a_hole_that_is_told(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_buckets: None
+) -> None:
+    out, settings = tmp_path / "out", {"tile_size": "64", "products": "dtm,mask"}
+    do(cloud, tmp_path / "peace", **settings)
+    groups = the_store(tmp_path / "peace").committed("assemble")
+    key = max(groups, key=lambda k: sum(b["n"] for b in groups[k][1]["buckets"]))
+    ix, iy = groups[key][1]["buckets"][0]["cell"]
+    monkeypatch.setattr("tiler.tasks.assemble_buckets", deadly.failing_group)
+    monkeypatch.setenv(deadly.CELL, f"{ix},{iy}")
+    result = do(cloud, out, **settings)
+    assert result.exit_code == 5
+    (failed,) = result.summary["failed_tasks"]
+    assert (failed["stage"], failed["key"]) == ("assemble", key)
+    assert "this group fails" in failed["error"]
+    assert_hole_in_mask(out, failed["bounds"])
+    west, south, east, north = failed["bounds"]
+    las = laspy.read(out / "classified" / cloud.name)
+    inside = (las.x >= west) & (las.x < east) & (las.y >= south) & (las.y < north)
+    classes = np.asarray(las.classification)
+    assert (classes[inside] == 1).all(), "they keep the class that they came with"
+    assert (classes[~inside] == 2).any()
+    monkeypatch.setenv(deadly.CELL, "0,0")
+    assert do(cloud, out, **settings).exit_code == 0
     assert output_digests(out) == output_digests(tmp_path / "peace")
 
 

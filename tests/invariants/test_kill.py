@@ -6,15 +6,21 @@ import json
 import random
 import time
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from ptd.methods import METHODS
+from tests.invariants import clouds
 from tests.invariants.forked import ended, forked
 from tests.invariants.runs import do, output_digests, the_store
 from tiler.errors import StoreError
 
-STAGES = ("spool", "assemble", "filter0", "grid-dtm", "export")
+METHOD = "auto"
+PASSES = len(METHODS[METHOD].params().passes)
+STAGES = ("spool", "assemble", *(f"filter{n}" for n in range(PASSES)), "grid-dtm", "export")
+SIDE_M = 128.0
 
 
 def finished_tasks(out: Path) -> dict[str, dict[str, str]]:
@@ -38,31 +44,43 @@ def output_digests_that_exist(out: Path) -> dict[str, str]:
     return output_digests(out) if (out / "dtm.tif").exists() else {}
 
 
+@dataclass(frozen=True)
+class Peace:
+    """Four files, what a run of them leaves that nothing disturbs, and its seconds in a forked process."""
+
+    paths: list[Path]
+    expected: dict[str, str]
+    seconds: float
+
+
 @pytest.fixture(scope="module")
-def duration(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) -> float:
-    """Seconds of an undisturbed run in a forked process."""
-    assert ended(forked(do, quarter_files, tmp_path_factory.mktemp("first") / "out", until="ingest")) == 0
+def peace(tmp_path_factory: pytest.TempPathFactory) -> Peace:
+    """All that the kills share; small, as there are many."""
+    folder = tmp_path_factory.mktemp("peace")
+    parts = clouds.quarters(clouds.city(SIDE_M))
+    paths = [clouds.write(folder / f"{number}.laz", part) for number, part in enumerate(parts)]
+    assert ended(forked(do, paths, folder / "first", method=METHOD)) == 0  # what is slow but once
     began = time.monotonic()
-    assert ended(forked(do, quarter_files, tmp_path_factory.mktemp("timed") / "out")) == 0
-    return time.monotonic() - began
+    assert ended(forked(do, paths, folder / "out", method=METHOD)) == 0
+    return Peace(paths, output_digests(folder / "out"), time.monotonic() - began)
 
 
-def kill_and_resume(paths: list[Path], out: Path, expected: dict[str, str], waits: list[float]) -> None:
+def kill_and_resume(peace: Peace, out: Path, waits: list[float]) -> None:
     """Kill the run after each of some times, then let it end."""
     before = finished_tasks(out)
     for wait in waits:
-        process = forked(do, paths, out)
+        process = forked(do, peace.paths, out, method=METHOD)
         time.sleep(wait)
         process.kill()
         process.join()
         after = finished_tasks(out)
         for stage in STAGES:
             assert before[stage].items() <= after[stage].items(), "what was finished stays finished"
-        assert_files_are_whole(out, expected)
+        assert_files_are_whole(out, peace.expected)
         before = after
-    result = do(paths, out)
+    result = do(peace.paths, out, method=METHOD)
     assert result.exit_code == 0
-    assert output_digests(out) == expected
+    assert output_digests(out) == peace.expected
     for stage in STAGES:
         found = result.summary["stages"][stage]
         assert found["done"] == len(before[stage])
@@ -74,7 +92,7 @@ def kill_and_resume(paths: list[Path], out: Path, expected: dict[str, str], wait
         events_done(out)
         <= {(stage, key): 1 for stage, tasks in finished_tasks(out).items() for key in tasks}.keys()
     )
-    assert do(paths, out).did_nothing
+    assert do(peace.paths, out, method=METHOD).did_nothing
 
 
 def events_done(out: Path) -> set[tuple[str, str]]:
@@ -86,19 +104,16 @@ def events_done(out: Path) -> set[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_killed_once_or_more(
-    seed: int, quarter_files: list[Path], finished: Path, duration: float, tmp_path: Path
-) -> None:
+def test_killed_once_or_more(seed: int, peace: Peace, tmp_path: Path) -> None:
     rng = random.Random(seed)
-    waits = [duration * rng.uniform(0.05, 0.9) for _ in range(1 + seed // 2)]
-    kill_and_resume(quarter_files, tmp_path / "out", output_digests(finished), waits)
+    kill_and_resume(
+        peace, tmp_path / "out", [peace.seconds * rng.uniform(0.05, 0.9) for _ in range(1 + seed // 2)]
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100, 150))
-def test_killed_fifty_times(
-    seed: int, quarter_files: list[Path], finished: Path, duration: float, tmp_path: Path
-) -> None:
+def test_killed_fifty_times(seed: int, peace: Peace, tmp_path: Path) -> None:
     rng = random.Random(seed)
-    waits = [duration * rng.uniform(0.0, 1.0) for _ in range(rng.choice([1, 1, 2, 3]))]
-    kill_and_resume(quarter_files, tmp_path / "out", output_digests(finished), waits)
+    waits = [peace.seconds * rng.uniform(0.0, 1.0) for _ in range(rng.choice([1, 1, 2, 3]))]
+    kill_and_resume(peace, tmp_path / "out", waits)

@@ -16,7 +16,7 @@ MASK_VALUES = {
     MEASURED: "measured: a ground point lies in the pixel",
     INTERPOLATED: "interpolated within the limit",
     FILLED: "filled beyond the limit",
-    HOLE: "hole: no height inside the survey",
+    HOLE: "hole: no height inside the survey, or a tile that failed",
 }
 
 HEIGHT = "height"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
+from tiler.core.lattice import Bounds
 from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
@@ -19,7 +22,8 @@ def mask_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     """Write one block of the mask; a `tiler.schedule.task.Work`.
 
     A pixel with a height is measured if a ground point lies in it, else interpolated; one without is a hole inside
-    of the survey (see `tiler.grid.survey`), else outside. A hole that was filled is called so.
+    of the survey (see `tiler.grid.survey`), else outside. A hole that was filled is called so. Where a tile failed
+    there is a hole, whatever heights its surroundings lend it.
 
     Parameters
     ----------
@@ -27,7 +31,8 @@ def mask_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     args : dict
         ``name``, ``spec``, ``block``, ``labels``, ``classes``, ``skip_flags``: as those of `grid_block`. ``dtm``,
         ``filled``: rasters of heights within the limit, and of those after filling (the same where nothing
-        is). ``survey``, ``coarse``: raster of the survey, and its `RasterSpec` as JSON.
+        is). ``survey``, ``coarse``: raster of the survey, and its `RasterSpec` as JSON. ``holes``: `Bounds` as JSON
+        of tiles that failed.
 
     Returns
     -------
@@ -43,6 +48,8 @@ def mask_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     mask = np.select(
         [heights & measured, heights, filled, inside], [MEASURED, INTERPOLATED, FILLED, HOLE], OUTSIDE
     ).astype(np.float32)
+    for hole in args.get("holes", ()):
+        mask[_within(Bounds.from_json(hole), spec, block)] = HOLE
     store.write_block(args["name"], block, mask)
     return {
         "pixels": mask.size,
@@ -50,3 +57,18 @@ def mask_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         "values": np.bincount(mask.ravel().astype(np.int64), minlength=5).tolist(),
         "checksum": checksum(mask),
     }
+
+
+def _within(bounds: Bounds, spec: RasterSpec, block: Block) -> tuple[slice, slice]:
+    """Rows and columns of a block's pixels whose centres lie in bounds."""
+
+    def first(edge: int) -> int:
+        """Index of the first pixel whose centre is at an edge or beyond it."""
+        return math.ceil(edge / spec.lattice.size - Fraction(1, 2))
+
+    def clipped(start: int, stop: int, count: int) -> slice:
+        return slice(min(max(start, 0), count), min(max(stop, 0), count))
+
+    top, left = spec.north - block.row, spec.west + block.col
+    rows = clipped(top - first(bounds.y1), top - first(bounds.y0), block.height)
+    return rows, clipped(first(bounds.x0) - left, first(bounds.x1) - left, block.width)
