@@ -12,6 +12,9 @@ densify
 refine
     densified cells that rise from the ground found are taken out again (roofs that were climbed), then all that rises
     from ground whose trend was taken off (low walls, cars, shrubs on slopes).
+roofs
+    ground that is connected, at most 120 m wide, and above nearly all ground that is seen around it is a roof
+    (`ptd.plateaus`).
 label
     each point against the TIN of the ground that is left, by its height.
 
@@ -39,6 +42,12 @@ residual_drop, _rise, ours                        0.3 m,    less is within the l
 _slope                                            0.1, 0.2
 residual_lack,        ours                        2, 0.3,   where fewer of the cells around are objects', bumps are
 _share, _around                                   10 m      terrain: the threshold grows by up to 2
+roof_size, _cell,     ours                        120 m,    the largest halls but for those of industry; cells of 2 m
+_step, _gap, _view,                               2, 1, 4,  bridge the gaps of sparse clouds, 1 m of step allows roofs
+_fall                                             8, 1.5 m  of 27 degrees
+roof_share, _unseen   ours                        0.9, 0.5  terrain goes on somewhere; where most looks end in trees or
+                                                            beyond the data nothing is known
+roof_area             ours                        80 m2     what is smaller was opened before
 label_floor           as `classic`                0.3 m     below 1 point/m2; from 2 on 0.05 m and three times the
                                                             noise, from 0.12 m to this: low plants
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
@@ -63,10 +72,11 @@ from ptd.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.frame import Cells, Scale, Window
 from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
 from ptd.methods.auto_settings import RING_M, AutoParameters, decided, settings
-from ptd.morphology import Bool
+from ptd.morphology import Bool, CellRaster
 from ptd.objects import PIT_REACH, Lowest, blocks
 from ptd.outliers import low_outliers
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
+from ptd.plateaus import on_plateaus
 from ptd.seeds import RING, box_with_ring, choose_seeds
 from ptd.tin.mesh import Tin
 
@@ -87,6 +97,7 @@ class Auto(AutoParameters):
             SeedPass(self, reach_m=(self.seed_reach + 1) * cell),
             DensifyPass(self),
             RefinePass(self, reach_m=(self.refine_reach + 1) * cell),
+            RoofPass(self, reach_m=(self.roof_reach + 1) * cell),
             LabelPass(self),
         )
 
@@ -221,6 +232,30 @@ def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
         ground &= ~((codes == DENSIFIED) & low.steep_objects(ground, p.veto_drop, p.shape))
     stays: Bool = ground & ~low.residual_objects(ground, codes != OUTLIER, p.residuals)
     return stays
+
+
+@dataclass(frozen=True)
+class RoofPass(Pass):
+    """Surfaces of ground above all that is seen around them are roofs."""
+
+    params: Auto
+    name: str = "roofs"
+    columns: tuple[str, ...] = ("labels",)
+    reach_m: float | None = None
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+        """Look around each connected surface."""
+        p = self.params
+        cells, wide, rule = Cells.of(p.thin_cell_m, scale), Cells.of(p.roof_cell_m, scale), p.plateaus(scale)
+        x, y, z, codes = lowest_points(points, cells)
+        ground = codes == GROUND
+        for index, inner in blocks(x, y, cells, p.roof_reach):
+            raster = CellRaster(x[index], y[index], wide)
+            roofs = on_plateaus(z[index], ground[index], raster, rule)
+            codes[index[roofs & inner]] = OBJECT
+        stats = {"cells": int(x.size), "roofs": int(ground.sum() - (codes == GROUND).sum())}
+        certain = window.inside(cells, p.roof_reach)
+        return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
 
 
 @dataclass(frozen=True)

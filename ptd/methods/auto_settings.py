@@ -5,6 +5,7 @@ All that differs from cloud to cloud is in `settings`; what was decided is told 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,7 @@ from ptd.methods.progressive import Progressive
 from ptd.objects import PIT_REACH, Drop, Residuals, Shape
 from ptd.outliers import search_margin
 from ptd.params import check, like, parameter
+from ptd.plateaus import Plateaus
 from ptd.roughness import Roughness
 
 RING_M = 20.0
@@ -33,6 +35,8 @@ SPARSE_M2, DENSE_M2 = 1.0, 2.0
 noise allows."""
 DENSE_FLOOR_M, FLOOR_BASE_M, FLOOR_SIGMAS = 0.12, 0.05, 3.0
 """Floor of the last pass for dense clouds: at least the first, else the second and so many times the noise."""
+LASER_SIGMA_M = 0.03
+"""Noise of airborne lasers: what more is measured, or not measurable, comes from plants, unless the user says it."""
 DENSE_SLOPE = 0.5
 """Share of ``label_slope_m`` for dense clouds."""
 
@@ -101,6 +105,34 @@ class AutoParameters:
     residual_around_m: float = parameter(
         10.0, "residuals: how far around is", unit="m", minimum=1.0, maximum=100.0,
     )  # fmt: skip
+    roof_size_m: float = parameter(
+        120.0, "roofs: the widest that is told from terrain by its edges all around", unit="m", minimum=2.0,
+        maximum=1000.0,
+    )  # fmt: skip
+    roof_cell_m: float = parameter(
+        2.0, "roofs: the lowest ground of a cell of this side is its height", unit="m", minimum=0.1, maximum=100.0,
+    )  # fmt: skip
+    roof_step_m: float = parameter(
+        1.0, "roofs: neighbours on a roof differ by no more", unit="m", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    roof_gap_m: float = parameter(
+        4.0, "roofs: neighbours are no farther apart", unit="m", minimum=0.1, maximum=100.0,
+    )  # fmt: skip
+    roof_view_m: float = parameter(
+        8.0, "roofs: how far is looked around for other ground", unit="m", minimum=0.1, maximum=100.0,
+    )  # fmt: skip
+    roof_fall_m: float = parameter(
+        1.5, "roofs: ground lower by more lies below", unit="m", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    roof_share: float = parameter(
+        0.9, "roofs: at least so much of the ground seen around lies below", minimum=0.01, maximum=1.0,
+    )  # fmt: skip
+    roof_unseen: float = parameter(
+        0.5, "roofs: at most this share of the looks around meets no ground", minimum=0.0, maximum=1.0,
+    )  # fmt: skip
+    roof_area_m2: float = parameter(
+        80.0, "roofs: the smallest; smaller ones are found by openings", unit="m2", minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     label_floor_m: float = like(Progressive, "label_floor_m")
     label_slope_m: float = parameter(
         1.0, "last pass: so much more per slope of the facet", unit="m", minimum=0.0, maximum=10.0,
@@ -154,6 +186,23 @@ class AutoParameters:
         """Cells beyond which nothing has a part in what a cell is after the pass `refine`."""
         return self.shape.reach + self.residuals.reach
 
+    def plateaus(self, scale: Scale) -> Plateaus:
+        """When ground lies on a roof."""
+
+        def cells(metres: float) -> int:
+            return max(round(metres / self.roof_cell_m), 1)
+
+        return Plateaus(
+            step=scale.counts_z(self.roof_step_m), gap=cells(self.roof_gap_m), view=cells(self.roof_view_m),
+            fall=scale.counts_z(self.roof_fall_m), share=self.roof_share, unseen=self.roof_unseen,
+            area=max(round(self.roof_area_m2 / self.roof_cell_m**2), 1), widest=cells(self.roof_size_m),
+        )  # fmt: skip
+
+    @property
+    def roof_reach(self) -> int:
+        """Cells (of thinning) beyond which nothing has a part in what a cell is after the pass `roofs`."""
+        return math.ceil((self.plateaus(Scale()).reach + 1) * self.roof_cell_m / self.thin_cell_m)
+
     @property
     def halo_m(self) -> float:
         """Two cells of the ring for the first TIN's circles, and what the rounds need."""
@@ -188,7 +237,7 @@ class Settings:
 
 def settings(params: AutoParameters, survey: Mapping[str, Any]) -> Settings:
     """Thresholds for a run, from what `decided` says of it."""
-    dim, sigma = survey["kind"] == DIM, survey["sigma_m"]
+    dim, sigma = survey["kind"] == DIM, survey["label_sigma_m"]
     dense = min(max((survey["density_m2"] - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
     floor = params.label_floor_m
     if sigma is not None:
@@ -221,13 +270,20 @@ def decided(
     -------
     survey : dict
         ``kind`` (`LIDAR`, `DIM`: image matching, which is coloured and has single returns alone), ``density_m2``,
-        ``sigma_m`` (None: not known), ``several`` (share of points).
+        ``sigma_m`` (None: not known), ``label_sigma_m`` (what of it the last pass allows for), ``several`` (share of
+        points).
     notes : list of str
     """
     share = several / told if told else 0.0
     kind = DIM if run["rgb"] and told and share < SEVERAL_SHARE else LIDAR
     sigma = found.sigma_m if run["sigma_m"] is None else run["sigma_m"]
-    survey = {"kind": kind, "density_m2": found.density_m2, "sigma_m": sigma, "several": share}
+    label_sigma = sigma
+    if kind == LIDAR and run["sigma_m"] is None:
+        label_sigma = LASER_SIGMA_M if sigma is None else min(sigma, LASER_SIGMA_M)
+    survey = {
+        "kind": kind, "density_m2": found.density_m2, "sigma_m": sigma, "label_sigma_m": label_sigma,
+        "several": share,
+    }  # fmt: skip
     if kind == DIM:
         why = "the points have colours and none is one of several returns"
     else:
@@ -242,6 +298,10 @@ def decided(
         f"{found.density_m2:.3g} points/m2, {noise}"
     ]
     chosen = settings(params, survey)
+    if label_sigma != sigma:
+        notes.append(
+            f"decided: {LASER_SIGMA_M:g} m is taken for a laser's noise; more comes from plants (else give --sigma)"
+        )
     notes.append(
         f"decided: ground is up to {chosen.label_floor_m:.2f} m + {chosen.label_slope_m:.2g} m x slope from the surface"
     )

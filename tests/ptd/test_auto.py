@@ -25,7 +25,7 @@ from .tiling import classify_tiled
 
 SMALL = Auto(
     max_building_size_m=10.0, slope_reach_m=2.0, trend_reach_m=5.0, residual_size_m=6.0, residual_around_m=4.0,
-    low_radius_m=2.0, rounds=2,
+    low_radius_m=2.0, rounds=2, roof_size_m=20.0,
 )  # fmt: skip
 """Rules that see less far, for scenes that are small."""
 
@@ -57,7 +57,7 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
     assert (found[truth == 2] == 2).mean() > 0.99
     assert found[:2].tolist() == [7, 7]
     assert result.stats["seeds"]["low_outliers"] == 1  # both in a cell
-    assert list(result.stats) == ["survey", "seeds", "densify", "refine", "label"]
+    assert list(result.stats) == ["survey", "seeds", "densify", "refine", "roofs", "label"]
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_a_window_without_ground_knows_nothing() -> None:
     """All points of a window may be objects' if what surrounds it is lower."""
     window = Window(0, 0, 10_000, 10_000)
     cloud = Points(np.full((3, 4), 500, np.int32), np.full(4, OBJECT, np.uint8))
-    state = {"survey": {"kind": "lidar", "density_m2": 1.0, "sigma_m": None}}
-    for number in (2, 4):
+    state = {"survey": {"kind": "lidar", "density_m2": 1.0, "label_sigma_m": None}}
+    for number in (2, 5):
         for given, marked in ((window, True), (Window.everything(), False)):
             model = Auto().passes[number].fit(cloud, given, given, SCALE, state)
             labels, marks = model.label(cloud)
@@ -132,8 +132,31 @@ def test_image_matching_is_told_by_colours_and_single_returns() -> None:
 def test_the_last_pass_is_narrower_where_points_are_dense(
     density: float, sigma: float | None, floor: float, slope: float
 ) -> None:
-    chosen = settings(Auto(), {"kind": "lidar", "density_m2": density, "sigma_m": sigma})
+    chosen = settings(Auto(), {"kind": "lidar", "density_m2": density, "label_sigma_m": sigma})
     assert (chosen.label_floor_m, chosen.label_slope_m) == pytest.approx((floor, slope))
+
+
+def test_what_a_laser_measures_beyond_its_noise_is_plants() -> None:
+    for sigma, taken in ((0.02, 0.02), (0.09, 0.03), (None, 0.03)):
+        survey, notes = decided(Auto(), Roughness(8.0, sigma, 50), 9, 9, {"rgb": False, "sigma_m": None})
+        assert (survey["sigma_m"], survey["label_sigma_m"]) == (sigma, taken)
+        assert any("0.03 m is taken for a laser's noise" in note for note in notes) == (sigma != taken)
+    survey, _ = decided(Auto(), Roughness(8.0, 0.02, 50), 9, 9, {"rgb": False, "sigma_m": 0.1})
+    assert survey["label_sigma_m"] == 0.1
+
+
+def test_a_hall_wider_than_the_openings_is_no_ground() -> None:
+    """60 m x 50 m, 8 m tall, on land that a ramp of 30 m leads up to as high beside it."""
+    random = np.random.default_rng(3)
+    x, y = 160 * random.random((2, 60_000))
+    z = 0.02 * x
+    ramp = (x > 120) & (y < 40)
+    z[ramp] += np.clip((40 - y[ramp]) / 5, 0, 8)
+    hall = (abs(x - 70) < 30) & (abs(y - 90) < 25)
+    z[hall] = 9.4
+    found = ptd.classify(np.stack([x, y, z], axis=1), "auto").classification == 2
+    assert found[hall].mean() < 0.01
+    assert found[~hall].mean() > 0.97
 
 
 def test_pits_of_image_matching_are_low_noise() -> None:
@@ -161,14 +184,10 @@ def test_the_decision_reaches_the_result() -> None:
 def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().seed_reach == 2 * 18 + 2 * 7 + 2 + 5
     assert Auto().refine_reach == 2 * 18 + 2 * 7 + 20 + 2 * 10
-    survey, seeds, densify, refine, label = Auto().passes
-    assert [step.reach_m for step in (survey, seeds, densify, refine, label)] == [
-        24.0,
-        58.0,
-        None,
-        91.0,
-        None,
-    ]
+    assert Auto().roof_reach == 2 * (60 + 4 + 1 + 1)
+    assert {step.name: step.reach_m for step in Auto().passes} == {
+        "survey": 24.0, "seeds": 58.0, "densify": None, "refine": 91.0, "roofs": 133.0, "label": None,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", list(SCENES))
@@ -204,7 +223,7 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(tile_m: float, thin_cell
     assert tiled == state
 
     class Refine(Until):
-        passes = (params.passes[0], params.passes[1], params.passes[3])
+        passes = (params.passes[0], params.passes[1], *params.passes[3:5])
 
     truth, _, _ = classify_tiled(Points(cloud), SCALE, Refine, None)
     labels, marks, _ = classify_tiled(Points(cloud), SCALE, Refine, tile_m)

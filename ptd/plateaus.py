@@ -1,0 +1,182 @@
+"""Connected surfaces of ground that lie above all that is seen around them: roofs too wide for openings.
+
+A roof of any shape ends on all sides in a fall, where terrain goes on somewhere: a hill by its foot, a terrace by its
+ends, a ramp. So a roof is a whole connected surface, or nothing of it is: no opening cuts it in two. A surface wider
+than a limit is terrain, whatever lies beyond; so nothing farther than a fixed reach has a part in the answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter
+
+from ptd.cells import Int32, Int64
+from ptd.kernel import kernel
+from ptd.morphology import EMPTY, Bool, CellRaster
+
+_EAST = (1, 0, -1, 0, 1, -1, -1, 1)
+_NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
+"""Steps to the eight neighbours of a cell."""
+
+_AREA, _FALLS, _OTHERS, _UNSEEN = range(4)
+
+
+@dataclass(frozen=True)
+class Plateaus:
+    """When a surface is a roof; lengths and areas in cells, heights in counts.
+
+    Attributes
+    ----------
+    step : float
+        Cells are of one surface where their heights differ by no more.
+    gap : int
+        Also if so many steps lie between them, along one of the eight directions, over empty cells.
+    view : int
+        As far is looked from each cell, along the eight directions, for what is no part of the surface.
+    fall : float
+        What lies lower by more lies below.
+    share : float
+        Of what is seen around, so much at least lies below.
+    unseen : float
+        Of the looks around, so many at most meet nothing: walls of courtyards, trees, the border of the data.
+    area, widest : int
+        At least so many cells; at most so many columns and rows.
+    """
+
+    step: float
+    gap: int
+    view: int
+    fall: float
+    share: float
+    unseen: float
+    area: int
+    widest: int
+
+    @property
+    def reach(self) -> int:
+        """Cells beyond which nothing has a part in the answer.
+
+        A surface that goes on beyond is wider than `widest` already by what is seen of it: the last cell that is seen
+        is no more than `gap` from the border. One cell more is for the edges (`on_plateaus`).
+        """
+        return self.widest + max(self.gap, self.view) + 1
+
+
+def on_plateaus(z: Int32, ground: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
+    """Which points of ground lie on surfaces above their surroundings: bool [n].
+
+    That is all in cells of such surfaces; and in the cells at their edges, whose lowest point lies beside the roof,
+    what is higher than that by more than `Plateaus.fall`.
+
+    Parameters
+    ----------
+    z : int32 [n]
+        Counts.
+    ground : bool [n]
+    raster : CellRaster
+        Of the points.
+    rule : Plateaus
+    """
+    heights = raster.lowest(z, ground)
+    roof = plateaus(heights, rule)
+    beside = maximum_filter(roof, size=3, mode="constant", cval=False)
+    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.fall
+    found: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
+    return found
+
+
+def plateaus(heights: Int32, rule: Plateaus) -> Bool:
+    """Which cells of a raster belong to surfaces that lie above their surroundings: bool, of its shape.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Of ground, counts; `EMPTY` where there is none.
+    rule : Plateaus
+    """
+    surface, n = _surfaces(heights, rule.step, rule.gap)
+    looks, box = _looks(heights, surface, n, rule.view, rule.fall)
+    seen, all_looks = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, 1:].sum(axis=1)
+    wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
+    above = (
+        (seen > 0) & (looks[:, _FALLS] >= rule.share * seen) & (looks[:, _UNSEEN] <= rule.unseen * all_looks)
+    )
+    roof = above & (looks[:, _AREA] >= rule.area) & (wide <= rule.widest)
+    found: Bool = np.append(roof, False)[surface]  # -1: no surface
+    return found
+
+
+@kernel
+def _surfaces(heights: Int32, step: float, gap: int) -> tuple[Int32, int]:
+    """The surface of each cell by number, -1 where it is empty, and how many there are."""
+    rows, columns = heights.shape
+    surface = np.full((rows, columns), -1, np.int32)
+    waiting = np.empty(rows * columns, np.int32)
+    n = 0
+    for start in range(rows * columns):
+        if (
+            surface[start // columns, start % columns] >= 0
+            or heights[start // columns, start % columns] == EMPTY
+        ):
+            continue
+        surface[start // columns, start % columns] = n
+        waiting[0], left = start, 1
+        while left:
+            left -= 1
+            row, column = waiting[left] // columns, waiting[left] % columns
+            for way in range(8):
+                for steps in range(1, gap + 1):
+                    r, c = row + steps * _NORTH[way], column + steps * _EAST[way]
+                    if r < 0 or c < 0 or r >= rows or c >= columns:
+                        break
+                    if heights[r, c] == EMPTY:
+                        continue
+                    # In 64 bits: heights of opposite ends of int32 differ by more than it holds.
+                    if (
+                        surface[r, c] < 0
+                        and abs(np.int64(heights[r, c]) - np.int64(heights[row, column])) <= step
+                    ):
+                        surface[r, c] = n
+                        waiting[left] = r * columns + c
+                        left += 1
+                    break
+        n += 1
+    return surface, n
+
+
+@kernel
+def _looks(
+    heights: Int32, surface: Int32, n: int, view: int, fall: float
+) -> tuple[Int64, npt.NDArray[np.int64]]:
+    """Of each surface: cells, looks that meet what lies below, other ground, nothing; and rows and columns it spans."""
+    rows, columns = heights.shape
+    looks, box = np.zeros((n, 4), np.int64), np.zeros((n, 4), np.int64)
+    for row in range(rows):
+        for column in range(columns):
+            own = surface[row, column]
+            if own < 0:
+                continue
+            if looks[own, _AREA] == 0:
+                box[own, :2], box[own, 2:] = row, column
+            looks[own, _AREA] += 1
+            box[own, 0], box[own, 1] = min(box[own, 0], row), max(box[own, 1], row)
+            box[own, 2], box[own, 3] = min(box[own, 2], column), max(box[own, 3], column)
+            for way in range(8):
+                met = _UNSEEN
+                for steps in range(1, view + 1):
+                    r, c = row + steps * _NORTH[way], column + steps * _EAST[way]
+                    if r < 0 or c < 0 or r >= rows or c >= columns:
+                        break
+                    if surface[r, c] == own:
+                        met = _AREA
+                        break
+                    if surface[r, c] >= 0:
+                        below = np.int64(heights[row, column]) - np.int64(heights[r, c]) > fall
+                        met = _FALLS if below else _OTHERS
+                        break
+                if met != _AREA:
+                    looks[own, met] += 1
+    return looks, box

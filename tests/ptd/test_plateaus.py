@@ -1,0 +1,144 @@
+"""Surfaces above all that is seen around them, on rasters drawn by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ptd.frame import Cells
+from ptd.morphology import EMPTY, CellRaster
+from ptd.plateaus import Plateaus, on_plateaus, plateaus
+
+RULE = Plateaus(step=1000, gap=2, view=4, fall=1500, share=0.9, unseen=0.5, area=20, widest=12)
+WAYS = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if r or c]
+
+
+def land(height: int = 0) -> np.ndarray:
+    return np.full((30, 30), height, np.int32)
+
+
+def test_a_roof_is_found_whole() -> None:
+    heights = land()
+    heights[10:20, 8:15] = 5000
+    assert np.array_equal(plateaus(heights, RULE), heights == 5000)
+
+
+def test_points_of_the_roof_in_cells_of_its_edge_are_on_it_too() -> None:
+    """A roof that covers half of the cells along two of its edges."""
+    x, y = (
+        c.ravel().astype(np.int32) for c in np.meshgrid(np.arange(60) * 500 + 250, np.arange(60) * 500 + 250)
+    )
+    roof = (x > 9000) & (x < 16_500) & (y > 9000) & (y < 16_500)
+    z = np.where(roof, 5000, 0).astype(np.int32)
+    ground = np.ones(z.size, bool)
+    ground[::7] = False
+    raster = CellRaster(x, y, Cells(1000, 1, 0, 0))
+    assert np.array_equal(on_plateaus(z, ground, raster, RULE), roof & ground)
+
+
+def test_a_gabled_roof_among_trees_is_found() -> None:
+    """Steps of 1 m on the roof, two cells without ground around it."""
+    heights = land()
+    heights[8:22, 6:20] = EMPTY
+    heights[10:20, 8:18] = 5000 + 1000 * np.minimum(np.arange(10), np.arange(10)[::-1])
+    assert np.array_equal(plateaus(heights, RULE), (heights > 4000) & (heights != EMPTY))
+
+
+def test_steps_are_followed_across_gaps() -> None:
+    heights = land()
+    heights[10:20, 8:18] = 5000
+    heights[12, 8:18] = EMPTY
+    found = plateaus(heights, RULE)
+    assert np.array_equal(found, heights == 5000)
+    assert not plateaus(heights, replace(RULE, area=95)).any()
+    heights[12:14, 8:18] = EMPTY
+    assert not plateaus(heights, replace(RULE, area=70)).any()
+
+
+@pytest.mark.parametrize(
+    "why",
+    ["ramp", "wide", "small", "low", "pit", "terrace", "higher beside", "out of sight", "alone"],
+)
+def test_terrain_is_kept(why: str) -> None:
+    heights, rule = land(), RULE
+    heights[10:20, 8:18] = 5000
+    if why == "ramp":
+        heights[15, 18:24] = [4200, 3400, 2600, 1800, 1000, 200]
+    elif why == "wide":
+        rule = replace(RULE, widest=9)
+    elif why == "small":
+        rule = replace(RULE, area=101)
+    elif why == "low":
+        heights[10:20, 8:18] = 1500
+    elif why == "pit":
+        heights[10:20, 8:18] = -5000
+    elif why == "terrace":
+        heights[:, 8:18] = 0
+        heights[:10] = 5000
+        rule = replace(RULE, widest=100)
+    elif why == "higher beside":
+        heights[10:20, 18:28] = 9000
+    elif why == "out of sight":
+        heights[4:26, 2:24] = EMPTY
+        heights[10:20, 8:18] = 5000
+    else:
+        heights[heights == 0] = EMPTY
+    assert not plateaus(heights, rule)[10:20, 8:18].any()
+
+
+def by_hand(heights: np.ndarray, rule: Plateaus) -> np.ndarray:
+    """The rule word by word."""
+    filled = {(int(r), int(c)): int(heights[r, c]) for r, c in np.argwhere(heights != EMPTY)}
+
+    def first(cell: tuple[int, int], way: tuple[int, int], farthest: int) -> tuple[int, int] | None:
+        ahead = ((cell[0] + k * way[0], cell[1] + k * way[1]) for k in range(1, farthest + 1))
+        return next((place for place in ahead if place in filled), None)
+
+    found, left = np.zeros(heights.shape, bool), set(filled)
+    while left:
+        surface, waiting = set(), [min(left)]
+        while waiting:
+            cell = waiting.pop()
+            surface.add(cell)
+            near = (first(cell, way, rule.gap) for way in WAYS)
+            waiting += [
+                n for n in near if n and n not in surface and abs(filled[n] - filled[cell]) <= rule.step
+            ]
+        left -= surface
+        met = [(cell, first(cell, way, rule.view)) for cell in surface for way in WAYS]
+        falls = sum(n not in surface and filled[cell] - filled[n] > rule.fall for cell, n in met if n)
+        seen = sum(n not in surface for _, n in met if n)
+        unseen = sum(n is None for _, n in met)
+        wide = max(np.ptp([r for r, _ in surface]), np.ptp([c for _, c in surface])) + 1
+        if seen and falls >= rule.share * seen and unseen <= rule.unseen * (seen + unseen):
+            for cell in surface if len(surface) >= rule.area and wide <= rule.widest else ():
+                found[cell] = True
+    return found
+
+
+@st.composite
+def blocky(draw: st.DrawFn) -> np.ndarray:
+    """Blocks of few heights, some of them empty."""
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    coarse = random.choice([EMPTY, 0, 0, 800, 3000, 5000], (9, 9)).astype(np.int32)
+    fine = np.kron(coarse, np.ones((3, 3), np.int32)).astype(np.int32)
+    fine[random.random(fine.shape) < 0.1] = EMPTY
+    return fine
+
+
+@settings(max_examples=40, deadline=None)
+@given(blocky(), st.integers(1, 3), st.integers(1, 5), st.integers(1, 12))
+def test_it_is_the_rule_and_sees_no_farther_than_it_says(
+    heights: np.ndarray, gap: int, view: int, widest: int
+) -> None:
+    rule = replace(RULE, gap=gap, view=view, widest=widest, area=4, share=0.7)
+    found = plateaus(heights, rule)
+    assert np.array_equal(found, by_hand(heights, rule))
+    for row, column in ((13, 13), (0, 5), (20, 26)):
+        south, west = max(row - rule.reach, 0), max(column - rule.reach, 0)
+        near = heights[south : row + rule.reach + 1, west : column + rule.reach + 1]
+        assert plateaus(np.ascontiguousarray(near), rule)[row - south, column - west] == found[row, column]
