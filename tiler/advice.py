@@ -18,7 +18,7 @@ from tiler.store import TileStore
 
 Float64 = npt.NDArray[np.float64]
 
-FOR_SCANNERS = ("classic", "chen2023")
+FOR_SCANNERS = ("classic", "chen2023", "ridge2016")
 """Methods whose defaults are made for laser scanning."""
 MATCHED_DENSITY = 12.0
 """Points per m2 from which colours and single returns mean image matching: coloured scans with their returns taken off

@@ -90,60 +90,69 @@ class Chen2023(Progressive):
 
     max_building_size_m: float = parameter(
         30.0, "the largest building that the windows take out; the ring's cells are half of it", unit="m",
-        minimum=1.0, maximum=1000.0, source="001 3.2 (1)",
+        minimum=1.0, maximum=1000.0, source="Chen 2023, 3.2 (1)",
     )  # fmt: skip
     thin_cell_m: float = parameter(
         1.0, "c: cells of the minimum raster, whose lowest points alone can become vertices", unit="m", minimum=0.1,
-        maximum=10.0, source="001 2.2 A",
+        maximum=10.0, source="Chen 2023, 2.2 A",
     )  # fmt: skip
     initial_window: int = parameter(
         1,
         "W_0: windows of 2 k W_0 + 1 cells, k = 1, 2, ...",
         minimum=1,
         maximum=1000,
-        source="001 3.2 (2), eq. 1",
+        source="Chen 2023, 3.2 (2), eq. 1",
     )
     rounds: int = like(Classic, "rounds", 4)
     exponential_windows: bool = parameter(
-        False, "windows of 2 W_0^k + 1 cells instead; W_0 must be 2 or more", source="001 eq. 2"
+        False, "windows of 2 W_0^k + 1 cells instead; W_0 must be 2 or more", source="Chen 2023, eq. 2"
     )
     terrain_slope: float = parameter(
         0.3, "s: rise over run by which ground may drop per metre that the window grows", minimum=0.0, maximum=10.0,
-        source="001 eq. 3",
+        source="Chen 2023, eq. 3",
     )  # fmt: skip
     initial_drop_m: float = parameter(
-        0.3, "h_0: what ground may drop in any case", unit="m", minimum=0.0, maximum=100.0, source="001 eq. 3"
+        0.3,
+        "h_0: what ground may drop in any case",
+        unit="m",
+        minimum=0.0,
+        maximum=100.0,
+        source="Chen 2023, eq. 3",
     )
     largest_drop_m: float = parameter(
         2.5, "h_max: the most that ground may drop from one window to the next", unit="m", minimum=0.01,
-        maximum=100.0, source="001 eq. 3",
+        maximum=100.0, source="Chen 2023, eq. 3",
     )  # fmt: skip
     mean_layers: int = parameter(
         5, "empty cells so far from filled ones are interpolated, farther ones take the nearest height", minimum=0,
-        maximum=1000, source="001 2.2 A",
+        maximum=1000, source="Chen 2023, 2.2 A",
     )  # fmt: skip
     tail_gap_m: float = parameter(
         20.0, "elevation histogram: a tail lies beyond a gap of this height; 0: no tails", unit="m", minimum=0.0,
-        maximum=10000.0, source="001 2.1 a",
+        maximum=10000.0, source="Chen 2023, 2.1 a",
     )  # fmt: skip
     tail_share: float = parameter(
         0.001, "elevation histogram: a tail holds no more than this share of the candidates of the run", minimum=0.0,
-        maximum=0.1, source="001 2.1 a",
+        maximum=0.1, source="Chen 2023, 2.1 a",
     )  # fmt: skip
     long_side: float = parameter(
         1.5, "seeds: of facets with a side of more than so many largest buildings the highest corner is noise; 0: off",
-        minimum=0.0, maximum=1000.0, source="001 2.3 (1)",
+        minimum=0.0, maximum=1000.0, source="Chen 2023, 2.3 (1)",
     )  # fmt: skip
     narrow_angle_deg: float = parameter(
         15.0, "seeds: facets with a smaller angle do not join seeds to clusters", unit="deg", minimum=0.0,
-        maximum=60.0, source="001 2.3 (2)",
+        maximum=60.0, source="Chen 2023, 2.3 (2)",
     )  # fmt: skip
     cluster_seeds: int = parameter(
-        50, "seeds: a cluster of no more is small; 0: none is", minimum=0, maximum=10**6, source="001 2.3 (2)"
+        50,
+        "seeds: a cluster of no more is small; 0: none is",
+        minimum=0,
+        maximum=10**6,
+        source="Chen 2023, 2.3 (2)",
     )
     prominence_m: float = parameter(
         1.0, "seeds: so much higher than the seeds around it a small cluster is noise", unit="m", minimum=0.0,
-        maximum=100.0, source="001 2.3 (2)",
+        maximum=100.0, source="Chen 2023, 2.3 (2)",
     )  # fmt: skip
     label_pass: bool = like(Classic, "label_pass")
 

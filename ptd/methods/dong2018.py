@@ -70,7 +70,7 @@ class Dong2018(Progressive):
 
     edge_length_reduce_m: float = parameter(
         0.0, "L1: the iteration angle shrinks on facets with shorter edges; 0: never", unit="m", minimum=0.0,
-        maximum=1000.0, source="000 2.3",
+        maximum=1000.0, source="Dong 2018, 2.3",
     )  # fmt: skip
     thin_cell_m: float = parameter(
         0.0, "stage one: only the lowest point of a cell of this side can become a vertex; 0: as fine as DEN_thr asks",
@@ -79,25 +79,25 @@ class Dong2018(Progressive):
     rounds: int = parameter(8, "rounds of stage one; 0: until nothing passes", minimum=0, maximum=1000)
     density_k: float = parameter(
         0.2, "k: density coefficient of DEN_thr, the density of the TIN from which noise decides", minimum=0.001,
-        maximum=1000.0, source="000 eq. 3",
+        maximum=1000.0, source="Dong 2018, eq. 3",
     )  # fmt: skip
     first_scale_m: float = parameter(
         4.0, "stage two: largest cells of which one ground point is a vertex; halved from scale to scale", unit="m",
-        minimum=1.0, maximum=64.0, source="000 2.5.3",
+        minimum=1.0, maximum=64.0, source="Dong 2018, 2.5.3",
     )  # fmt: skip
     last_scale_m: float = parameter(
-        1.0, "s_thr: no smaller cells", unit="m", minimum=0.25, maximum=1.0, source="000 2.5.3"
+        1.0, "s_thr: no smaller cells", unit="m", minimum=0.25, maximum=1.0, source="Dong 2018, 2.5.3"
     )
     min_joined: int = parameter(
         2000,
         "n: stage two ends when fewer points of the run joined",
         minimum=0,
         maximum=10**9,
-        source="000 2.5.3",
+        source="Dong 2018, 2.5.3",
     )
     contour_share: float = parameter(
         0.01, "level of the outer contour as a share of the histogram's fullest bin", minimum=0.0001, maximum=0.9,
-        source="000 figure 5",
+        source="Dong 2018, figure 5",
     )  # fmt: skip
     pit_sigmas: float = parameter(
         6.0, "stage one: points in pits narrower than 3 m and so many sigma deep are no vertices", minimum=1.0,

@@ -18,11 +18,11 @@ class Progressive:
 
     max_building_size_m: float = parameter(
         20.0, "side of the cells whose lowest point is a seed: the largest building", unit="m",
-        minimum=1.0, maximum=1000.0, source="000 2.1, 003 4.2",
+        minimum=1.0, maximum=1000.0, source="Dong 2018, 2.1, Ridge 2016, 4.2",
     )  # fmt: skip
     terrain_angle_deg: float = parameter(
         88.0, "steepest terrain; on steeper facets a point is tested mirrored through their highest corner", unit="deg",
-        minimum=1.0, maximum=90.0, source="000 2.1",
+        minimum=1.0, maximum=90.0, source="Dong 2018, 2.1",
     )  # fmt: skip
     iteration_angle_deg: float = parameter(
         25.0, "largest angle between a facet and the line from a point to its nearest corner", unit="deg",
@@ -38,15 +38,15 @@ class Progressive:
     )
     edge_length_reduce_m: float = parameter(
         5.0, "L1: the iteration angle shrinks on facets with shorter edges; 0: never", unit="m", minimum=0.0,
-        maximum=1000.0, source="000 2.3",
+        maximum=1000.0, source="Dong 2018, 2.3",
     )  # fmt: skip
     edge_length_stop_m: float = parameter(
         0.0, "L2: facets with shorter edges take no more vertices; 0: all do", unit="m", minimum=0.0,
-        maximum=1000.0, source="000 2.3",
+        maximum=1000.0, source="Dong 2018, 2.3",
     )  # fmt: skip
     thin_cell_m: float = parameter(
         1.0, "only the lowest point of a cell of this side can become a vertex; 0: every point", unit="m",
-        minimum=0.0, maximum=100.0, source="003 3.3",
+        minimum=0.0, maximum=100.0, source="Ridge 2016, 3.3",
     )  # fmt: skip
     low_radius_m: float = parameter(
         5.0, "low outliers: radius of the search", unit="m", minimum=1.0, maximum=50.0

@@ -40,7 +40,7 @@ class Rarefy(Classic):
 
     label_floor_m: float = parameter(
         0.5, "ground is what lies no more than this above or below the DTM", unit="m", minimum=0.0, maximum=10.0,
-        source="000 1",
+        source="Dong 2018, 1",
     )  # fmt: skip
 
     @property

@@ -143,3 +143,9 @@ def test_a_field_like_that_of_another_method() -> None:
         fields(Other)[0].metadata
         == fields(Classic)[[f.name for f in fields(Classic)].index("rounds")].metadata
     )
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_sources_name_what_people_can_find(name: str) -> None:
+    for spec in fields(METHODS[name].params):
+        assert not spec.metadata["source"][:1].isdigit(), spec.name

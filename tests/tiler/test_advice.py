@@ -93,6 +93,7 @@ MATCHED = {"has_rgb": True, "returns": 1, "point_format": 2}
     [
         (MATCHED, {}, 1.0, ["look like image matching", "method classic", "use --preset dim"]),
         ({**MATCHED, "point_format": 7}, {}, 40.0, ["look like image matching"]),
+        (MATCHED, {"method": "ridge2016"}, 1.0, ["method ridge2016 is made for laser scanning"]),
         ({**MATCHED, "point_format": 7}, {}, 8.0, []),  # a scan whose returns were taken off
         ({**MATCHED, "returns": 3}, {}, 40.0, []),
         (MATCHED, {"method": "dong2018"}, 40.0, []),
