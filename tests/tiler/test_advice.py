@@ -131,7 +131,7 @@ def test_small_tiles_are_told_of_where_there_are_several(
     side: int, tile: int, times: str | None, source: SourceInfo
 ) -> None:
     wide = replace(source, bounds=(0.0, 0.0, 100.0, float(side), float(side), 110.0))
-    found = warnings_of([wide], CoordFrame().units, Fraction(tile), 100.0)
+    found = warnings_of([wide], CoordFrame().units, Fraction(tile), [100.0])
     assert [f"do {times} times the work; use --tile-size 483 or more --memory" in text for text in found] == (
         [True] if times else []
     )

@@ -75,7 +75,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     cell = defaults.candidate_cell_m if defaults else 0.0
     passes = _planned_passes(defaults, config, notes) if defaults else ()
     tile = config.tile_size or sizes.tile_m(memory, density, cell, passes, meta)
-    warnings = warnings_of(filled, agreement.units, tile, max((step.halo_m for step in passes), default=0.0))
+    warnings = warnings_of(filled, agreement.units, tile, [step.halo_m for step in passes])
     warnings += advice.before(filled, config, density, _own_halo(defaults))
     plan = Plan(
         config, tuple(sources), tuple(unreadable), meta, limits, parameters,

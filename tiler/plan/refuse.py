@@ -23,8 +23,10 @@ WIDE_TILE = 2 + 2 * math.sqrt(2)
 """Halos in a tile that does twice the work."""
 
 
-def warnings_of(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo: float) -> list[str]:
-    """What is probably wrong, or costs more than it need."""
+def warnings_of(
+    sources: Sequence[SourceInfo], units: Any, tile: Fraction, halos: Sequence[float]
+) -> list[str]:
+    """What is probably wrong, or costs more than it need; ``halos`` are those of the passes, metres."""
     found = []
     z = [s.bounds for s in sources if s.bounds is not None]
     relief = (max(b[5] for b in z) - min(b[2] for b in z)) * float(units.vertical)
@@ -42,11 +44,11 @@ def warnings_of(sources: Sequence[SourceInfo], units: Any, tile: Fraction, halo:
             found.append(
                 f"{source.path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
             )
-    overlap, side = _overlap(z, float(units.horizontal), float(tile), halo), math.ceil(WIDE_TILE * halo)
-    if overlap > 2:
+    work = [_overlap(z, float(units.horizontal), float(tile), halo) for halo in halos]
+    if work and sum(work) > 2 * len(work):
         found.append(
-            f"tiles of {float(tile):g} m with {halo:g} m of halo do {overlap:.1f} times the work; "
-            f"use --tile-size {side} or more --memory"
+            f"tiles of {float(tile):g} m with up to {max(halos):g} m of halo do {sum(work) / len(work):.1f} times "
+            f"the work; use --tile-size {math.ceil(WIDE_TILE * max(halos))} or more --memory"
         )
     return found
 
