@@ -92,8 +92,14 @@ def run_of_many_tiles(**changes: Any) -> dict[str, Any]:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_everything_is_drawn(opened: Any, scheme: str) -> None:
-    page = opened(run_of_many_tiles(inputs=[results.source(results.HOSTILE)]), color_scheme=scheme)
+    left = [{"path": results.HOSTILE, "error": f"{results.HOSTILE}: cut short"}]
+    page = opened(
+        run_of_many_tiles(inputs=[results.source(results.HOSTILE)], quarantined=left), color_scheme=scheme
+    )
     assert painted(page) > 0.2
+    assert page.locator("#state").inner_text() == "Finished, with something left out"
+    for title in ("Files left out: 1", "Tasks that failed: 1"):
+        assert page.get_by_role("heading", name=title).is_visible()
     assert page.locator("#legend").inner_text().split("\n")[-1].strip().endswith("1 failed")
     assert page.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 0)")
     for name in ("hillshade", "density", "mask", ""):
