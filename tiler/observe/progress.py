@@ -123,7 +123,8 @@ def start_text(stage: _Stage) -> str:
         return f"nothing to do, all {stage.tasks} tasks were done before"
     before = f" ({stage.tasks_done} of {stage.tasks} were done before)" if stage.tasks_done else ""
     points = f", {count_text(stage.points)} points" if stage.points else ""
-    return f"{stage.tasks - stage.tasks_done} tasks{points}{before}"
+    todo = stage.tasks - stage.tasks_done
+    return f"{todo} task{'' if todo == 1 else 's'}{points}{before}"
 
 
 def _stage_of(fields: dict[str, Any], now: float) -> _Stage:

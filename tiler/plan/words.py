@@ -42,7 +42,8 @@ def plan_lines(plan: Plan) -> list[str]:
     wide, high = (plan.extent.x1 - plan.extent.x0) * metres, (plan.extent.y1 - plan.extent.y0) * metres
     seconds, measured = projected_seconds(plan)
     return [
-        f"inputs      {len(plan.sources)} files, {plan.points:,} points, {plan.density:.3g} per m2",
+        f"inputs      {len(plan.sources)} file{'' if len(plan.sources) == 1 else 's'}, {plan.points:,} points, "
+        f"{plan.density:.3g} per m2",
         f"extent      {wide:,.0f} x {high:,.0f} m from ({west:,.1f}, {south:,.1f})",
         f"CRS         {crs_name(frame.crs_wkt)}; x, y in {unit_label(frame.units.horizontal)}, "
         f"z in {unit_label(frame.units.vertical)}",
