@@ -15,6 +15,7 @@ ridge_side            m_r: 1.5                       1.5       the paper's value
 ridge_angle           theta_r: 25                    25 deg    the paper's value
 ridge_radius          "within a radius of 2 m"       2 m       the paper's value
 seed_confidence       1 - alpha: 98 %                0.98      the paper's value
+seed_residual         none                           0 (off)   the test alone decides, as in the paper
 thin_cell             m: "the resolution of the      1 m       the DTM's default resolution
                       final acquired DTM"
 growth                p_min: 0.001                   0.001     the paper's value

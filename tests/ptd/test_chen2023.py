@@ -146,19 +146,6 @@ def test_limits_in_counts() -> None:
     assert clusters.prominence == 1000.0
 
 
-def test_the_table_names_each_parameter() -> None:
-    table = chen2023.__doc__ or ""
-    for name in (
-        "max_building_size",
-        "initial_window",
-        "terrain_slope",
-        "mean_layers",
-        "prominence",
-        "tail_gap",
-    ):
-        assert name in table
-
-
 def test_errors_of_the_isprs_samples(shared_data: Path) -> None:
     """One default: total 4.46, type I 3.58, type II 7.25 percent (the paper: 11.28, 14.66, 6.76 on all 15)."""
     errors = []

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from dataclasses import dataclass, fields, replace
 
 import pytest
 
 from ptd.methods import METHODS, make_params
 from ptd.methods.classic import Classic
+from ptd.methods.progressive import Progressive
 from ptd.params import check, like, parameter, parse, to_json
 
 
@@ -149,3 +152,18 @@ def test_a_field_like_that_of_another_method() -> None:
 def test_sources_name_what_people_can_find(name: str) -> None:
     for spec in fields(METHODS[name].params):
         assert not spec.metadata["source"][:1].isdigit(), spec.name
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_the_table_of_a_method_names_its_parameters_and_their_defaults(name: str) -> None:
+    """In the docstring of its module; names after the first of a row may be cut to their last part."""
+    params = METHODS[name].params
+    table = str(sys.modules[params.__module__].__doc__)
+    bases = [base for base in params.__mro__[1:] if base in (Progressive, Classic)]
+    inherited = {field.name for base in bases for field in fields(base)} - set(params.__annotations__)
+    for field in fields(params):
+        short = re.sub("_(m|deg)$", "", field.name)
+        assert field.name in inherited or short in table or short.rsplit("_", 1)[-1] in table, field.name
+        if field.name not in inherited:
+            default = {True: "on", False: "off"}.get(field.default, field.default)
+            assert (default if isinstance(default, str) else f"{default:g}") in table, field.name
