@@ -294,3 +294,8 @@ class Terrain:
         )  # fmt: skip
         labels[(labels != GROUND) & self._low.holds(x, y, z)] = LOW_NOISE
         return labels, marked
+
+
+def unlabelled(points: Points, closed: bool) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    """Labels and marks of a window without a TIN: unclassified, for certain only if nothing lies beyond the window."""
+    return np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), closed)

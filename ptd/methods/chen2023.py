@@ -66,7 +66,7 @@ from ptd.certify import Doubt
 from ptd.densify import REFUSED, VERTEX, densify
 from ptd.elevations import ElevationsPass, outside
 from ptd.frame import Cells, Scale, Window
-from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
+from ptd.labelling import GROUND, LOW_NOISE, LowNoise, Terrain, unlabelled
 from ptd.methods.classic import Classic
 from ptd.methods.progressive import Progressive
 from ptd.outliers import isolated_in_height, low_outliers, search_margin
@@ -298,8 +298,7 @@ class ChenModel(Model):
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Labels and marks of points of the window."""
         if self.terrain is None:
-            n = len(points)
-            return np.full(n, UNCLASSIFIED, np.uint8), np.full(n, self._closed)
+            return unlabelled(points, self._closed)
         labels, marked = self.terrain.label(points)
         below, _ = outside(points.xyz[2], self._scale, self._tails)
         labels[below & (labels != GROUND)] = LOW_NOISE

@@ -43,7 +43,7 @@ import numpy.typing as npt
 from ptd.cells import cell_keys, lowest_per_cell
 from ptd.densify import densify_seeds
 from ptd.frame import Cells, Scale, Window
-from ptd.labelling import UNCLASSIFIED, LowNoise, Terrain
+from ptd.labelling import LowNoise, Terrain, unlabelled
 from ptd.methods.progressive import Progressive
 from ptd.outliers import low_outliers
 from ptd.params import parameter
@@ -130,8 +130,7 @@ class ClassicModel(Model):
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Labels and marks of points of the window."""
         if self.terrain is None:
-            n = len(points)
-            return np.full(n, UNCLASSIFIED, np.uint8), np.full(n, self._closed)
+            return unlabelled(points, self._closed)
         return self.terrain.label(points)
 
 

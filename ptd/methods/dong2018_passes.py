@@ -12,7 +12,7 @@ import numpy as np
 from ptd import pits, roughness
 from ptd.densify import densify_seeds
 from ptd.frame import Cells, Scale, Window
-from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
+from ptd.labelling import GROUND, LOW_NOISE, LowNoise, Terrain, unlabelled
 from ptd.methods.classic import ClassicModel, thinned
 from ptd.passes import Int32, Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
 from ptd.trial import Bool
@@ -144,7 +144,7 @@ class StageOneModel(Model):
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Vertices are ground, points in pits below the TIN low noise."""
         if self._terrain is None:
-            return np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), self._closed)
+            return unlabelled(points, self._closed)
         labels, marked = self._terrain.label(points)
         x, y, z = points.columns()
         low = np.flatnonzero((labels != GROUND) & self._pits.holds(x, y, z))

@@ -13,7 +13,7 @@ import numpy as np
 from ptd.cells import lowest_per_cell
 from ptd.certify import Doubt
 from ptd.frame import Cells, Scale, Window
-from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
+from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain, unlabelled
 from ptd.methods.ridge2016_seeds import Prepared
 from ptd.passes import Model, Pass, Points, State, UInt8, noted
 from ptd.seeds import RING, box_with_ring, choose_seeds
@@ -93,6 +93,7 @@ class GrowthModel(Model):
         self._points = int(core.has(points.xyz[0], points.xyz[1]).sum())
         self._gained, self._unsure = np.zeros(params.rounds, np.int64), np.zeros(params.rounds, np.int64)
         self._prepared: Prepared | None = None
+        self._closed = window.closed
         if len(points):
             self._prepared = Prepared(params, points.columns(), window, scale)
             # A window that is the whole run sees its last round itself.
@@ -120,7 +121,7 @@ class GrowthModel(Model):
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """The round in which a point became a vertex; low noise; all else is unclassified. All in doubt is marked."""
         if self._prepared is None:
-            return np.full(len(points), UNCLASSIFIED, np.uint8), np.zeros(len(points), np.bool_)
+            return unlabelled(points, self._closed)
         s, (x, y, z) = self._prepared.stacks, points.columns()
         place = places_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
         labels = np.where(place >= 0, self._codes[place], np.uint8(UNCLASSIFIED))
@@ -182,10 +183,8 @@ class TerrainModel(Model):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Labels and marks of points of the window; what was low noise stays so unless it is ground."""
-        if self._terrain is None:
-            labels, marked = np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), self._closed)
-        else:
-            labels, marked = self._terrain.label(points)
+        found = unlabelled(points, self._closed) if self._terrain is None else self._terrain.label(points)
+        labels, marked = found
         labels[(labels != GROUND) & (points.known_labels() == LOW_NOISE)] = LOW_NOISE
         return labels, marked
 
@@ -219,6 +218,5 @@ class RidgeModel(Model):
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Labels and marks of points of the window."""
         if self.terrain is None:
-            n = len(points)
-            return np.full(n, UNCLASSIFIED, np.uint8), np.full(n, self._closed)
+            return unlabelled(points, self._closed)
         return self.terrain.label(points)

@@ -103,10 +103,15 @@ def _means(cells: Sequence[Cell], families: Sequence[str]) -> str:
 
 def _mean_row(cells: Sequence[Cell], name: str, own: Sequence[Cell]) -> list[str]:
     by_method = {m: [c for c in own if c.method == m] for m in _methods(cells)}
+    scenes = len({c.scene for c in own})
+    by_method = {m: some if len(some) == scenes else [] for m, some in by_method.items()}
     totals = {m: total for m, some in by_method.items() if (total := _mean(some, "total")) is not None}
     best = min(totals.values(), default=None)
-    row = [f"{name} ({len({c.scene for c in own})})"]
+    row = [f"{name} ({scenes})"]
     for method, some in by_method.items():
+        if not some:
+            row.append("-")
+            continue
         refused = sum(c.refusal is not None for c in some)
         if refused:
             row.append(f"refused {refused} of {len(some)}")
@@ -125,15 +130,17 @@ def _scenes(cells: Sequence[Cell]) -> str:
     rows = []
     for scene in dict.fromkeys(cell.scene for cell in cells):
         own = {c.method: c for c in cells if c.scene == scene}
-        first = own[methods[0]]
+        first = next(iter(own.values()))
         of = "" if first.family == first.group else f" ({first.family.removeprefix('simulated ')})"
-        rows.append([f"{scene}{of}, {first.points:,} points", *(_cell(own[m]) for m in methods)])
+        rows.append([f"{scene}{of}, {first.points:,} points", *(_cell(own.get(m)) for m in methods)])
     known = any(cell.dtm_rmse_m is not None for cell in cells)
     note = ERRORS + (", RMSE of the DTM at 1 m" if known else "") + ".\n\n"
     return note + table(["scene", *methods], rows)
 
 
-def _cell(cell: Cell) -> str:
+def _cell(cell: Cell | None) -> str:
+    if cell is None:
+        return "-"
     if cell.refusal is not None:
         return "refused"
     text = " / ".join(percent(v) for v in (cell.type_1, cell.type_2, cell.total, cell.kappa))

@@ -78,6 +78,9 @@ def test_what_an_earlier_run_measured_stands_beside_what_is_measured_now() -> No
     assert [(c.scene, c.method, c.total) for c in both] == [
         ("again", "classic", 0.5), ("again", "rarefy", 0.5), ("house", "classic", 0.5), ("house", "rarefy", 0.25),
     ]  # fmt: skip
+    text = markdown(both[1:], "classic", 1)
+    assert "| again (tiny), 9 points | - / - / 50.00 / - | - |" in text
+    assert "| tiny (2) | - / - / **37.50** / - | - |" in text  # no mean of one scene beside one of two
 
 
 def test_each_sample_is_scored_with_what_is_best_on_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
