@@ -96,7 +96,8 @@ class GrowthModel(Model):
         self._closed = window.closed
         if len(points):
             self._prepared = Prepared(params, points.columns(), window, scale)
-            # A window that is the whole run sees its last round itself.
+            # A window that is the whole run sees its last round itself. More are run, for `--statistics` of another
+            # run may want them, but nothing is counted any more.
             alone = not window.closed and self._points == len(points)
             enough = int(most_gained(self._points, params.growth)) if alone else -1
             self._codes = np.full(self._prepared.stacks.x.size, UNCLASSIFIED, np.uint8)
@@ -111,11 +112,10 @@ class GrowthModel(Model):
         done = 0
         for k, step in enumerate(islice(prepared.rounds(), self._gained.size)):
             self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
-            # Rounds that are not run would add nothing, and change nothing of what is not certain.
-            self._gained[k], self._unsure[k:] = tally.count(step.tin, step.in_doubt)
+            if k == 0 or self._gained[k - 1] > enough:
+                # Rounds that are not run would add nothing, and change nothing of what is not certain.
+                self._gained[k], self._unsure[k:] = tally.count(step.tin, step.in_doubt)
             done = k + 1
-            if self._gained[k] <= enough:
-                break
         return done
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
