@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from tiler.core.products import PRODUCTS
 from tiler.observe.progress import duration_text, rate_text, size_text
+from tiler.places import joined
 
 _RASTERS = {f"{name}.{kind}": place for place, name in enumerate(PRODUCTS) for kind in ("tif", "vrt")}
 """Names of the products' files, and their order."""
@@ -43,11 +43,11 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     for name in rasters[:1]:
         facts = summary["dtm"]
         size = f"{facts['width']:,} x {facts['height']:,} pixels of {facts['resolution_m']:g} m"
-        lines.append(f"{name.split('.')[0].upper():12s}{Path(out) / name}, {size}")
+        lines.append(f"{name.split('.')[0].upper():12s}{joined(out, name)}, {size}")
     if rasters[1:]:
-        lines.append(f"products    {', '.join(str(Path(out) / name) for name in rasters[1:])}")
+        lines.append(f"products    {', '.join(joined(out, name) for name in rasters[1:])}")
     if summary.get("report"):
-        lines.append(f"report      {Path(out) / summary['report']}")
+        lines.append(f"report      {joined(out, summary['report'])}")
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
     lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
     lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")

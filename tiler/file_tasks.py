@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 from tiler import __version__
@@ -14,12 +13,13 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import RasterSpec
 from tiler.export import write_cog, write_mosaic
+from tiler.places import joined
 from tiler.plan import Plan
 from tiler.product_tasks import Gridding, checksums, exported, final
 from tiler.schedule import Task, digest_of
 
 
-def cog_tasks(g: Gridding, inputs: str, out: Path) -> Iterator[Task]:
+def cog_tasks(g: Gridding, inputs: str, out: str) -> Iterator[Task]:
     """One for each file."""
     for name in exported(g.plan.config):
         raster = final(name, g.plan.config)
@@ -29,9 +29,9 @@ def cog_tasks(g: Gridding, inputs: str, out: Path) -> Iterator[Task]:
         }  # fmt: skip
         blocks = checksums(g.made[raster])
         if g.plan.config.sheets is None:
-            files = [({**common, "name": name, "spec": g.spec.to_json(), "out": str(out)}, g.spec)]
+            files = [({**common, "name": name, "spec": g.spec.to_json(), "out": out}, g.spec)]
         else:
-            whole = {"whole": g.spec.to_json(), "fill": g.fill_of(raster), "out": str(out / name)}
+            whole = {"whole": g.spec.to_json(), "fill": g.fill_of(raster), "out": joined(out, name)}
             files = [
                 ({**common, **whole, "name": f"{name}_{place}", "spec": spec.to_json()}, spec)
                 for place, spec in sheets(g)
@@ -43,13 +43,13 @@ def cog_tasks(g: Gridding, inputs: str, out: Path) -> Iterator[Task]:
             )
 
 
-def mosaic_tasks(g: Gridding, inputs: str, out: Path) -> Iterator[Task]:
+def mosaic_tasks(g: Gridding, inputs: str, out: str) -> Iterator[Task]:
     """One VRT for each product that is cut into sheets."""
     if g.plan.config.sheets is None:
         return
     for name in exported(g.plan.config):
         arguments = {
-            "product": name, "out": str(out), "tags": _tags(g.plan, inputs), **_nodata(g.plan, name),
+            "product": name, "out": out, "tags": _tags(g.plan, inputs), **_nodata(g.plan, name),
             "sheets": [[f"{name}/{name}_{place}.tif", spec.to_json()] for place, spec in sheets(g)],
         }  # fmt: skip
         yield Task("mosaic", f"{name}.vrt", digest_of(arguments), write_mosaic, arguments)

@@ -15,18 +15,16 @@ from tiler import __version__
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import Block, RasterSpec
+from tiler.crew import Crew
 from tiler.errors import DamagedError, DiskFullError, ProcessingError
 from tiler.observe.events import Listener
 from tiler.perform import peak_rss_bytes, perform
 from tiler.plan import Plan, plan_json
 from tiler.report import write_run_file
-from tiler.schedule import Executor, Limits, Outcome, Task, make_executor
+from tiler.schedule import Outcome, Task
 from tiler.store import LEASE_SECONDS, Lease, TileStore
 
 LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
-
-MEMORY_TIMES, MEMORY_MORE_BYTES = 2, 512 << 20
-"""A worker that allocates so many times what it is allowed, and more, has gone wrong: the system must not suffer."""
 
 PACKED_COMMITS = 256
 """So many tasks of a stage that are done are told of in one object when it ends, as each costs a request to ask for."""
@@ -59,13 +57,17 @@ class RunResult:
 
 @dataclass
 class Job:
-    """A run at work: what the stages share."""
+    """A run at work: what the stages share.
+
+    ``out`` is the folder of run.json, the log and the report; ``products``, the same or a URL, that of all other files.
+    """
 
     plan: Plan
     out: Path
+    products: str
     store: TileStore
     listener: Listener
-    executor: Executor | None = None
+    crew: Crew = field(init=False)
     computed: int = 0
     stages: dict[str, dict[str, Any]] = field(default_factory=dict)
     quarantined: list[dict[str, str]] = field(default_factory=list)
@@ -76,6 +78,9 @@ class Job:
     damaged: set[str] = field(default_factory=set)
     lease: Lease | None = None
     held: float = field(default_factory=time.monotonic)
+
+    def __post_init__(self) -> None:
+        self.crew = Crew(self.plan, self.store.url, self.products, self.note)
 
     def note(self, text: str) -> None:
         """Tell people what was decided for them, now and in run.json."""
@@ -97,10 +102,13 @@ class Job:
         """
         self.store.uncommit(stage, *keys)
 
-    def perform(self, stage: str, tasks: Iterable[Task], warm: Warm | None = None) -> Commits:
+    def perform(
+        self, stage: str, tasks: Iterable[Task], warm: Warm | None = None, writes_out: bool = False
+    ) -> Commits:
         """Do what is not done yet of a stage; commits of all its tasks that succeeded.
 
         ``warm`` compiles the kernels of the stage, here and once, before local workers would each do so.
+        ``writes_out``: the tasks write files into OUT.
         """
         wanted = {task.key: task for task in tasks}
         done, stale = self.sorted_out(stage, wanted.values())
@@ -119,12 +127,8 @@ class Job:
         start, cpu_peak = time.monotonic(), 0
         if todo and warm is not None and self.plan.config.scheduler is None:
             warm(lambda: self.listener("note", {"text": "compiling kernels (once on this machine)"}))
-        if todo and self.executor is None:
-            config, memory = self.plan.config, MEMORY_TIMES * self.plan.memory + MEMORY_MORE_BYTES
-            self.executor = make_executor(
-                self.plan.workers, config.scheduler, config.in_process, Limits(memory, config.task_seconds)
-            )
-        for outcome in self.executor.run(perform, self.store.url, todo) if todo and self.executor else ():
+        outcomes = self.crew.executor(writes_out).run(perform, self.store.url, todo) if todo else ()
+        for outcome in outcomes:
             self._tell_tile(outcome)
             self._finished(outcome)
             self._hold()

@@ -7,8 +7,8 @@ import functools
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -25,13 +25,14 @@ from tiler.healing import ROUNDS, heal
 from tiler.job import Commits, Job, RunResult
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, silent
+from tiler.places import is_url, joined, open_cloud, put_file
 from tiler.plan import KEEP, Plan, crs_name, make_plan, refuse, remember
 from tiler.rasters import export, grid
 from tiler.report import earlier_outputs
 from tiler.report.html import NAME as REPORT
 from tiler.report.html import write_report
 from tiler.schedule import Task
-from tiler.store import BucketInfo, Lease, TileStore, create_store, open_store, remove_store, store_exists
+from tiler.store import BucketInfo, TileStore, create_store, open_store, remove_store, store_exists
 from tiler.tasks import (
     Assembled,
     Source,
@@ -44,6 +45,7 @@ from tiler.tasks import (
 )
 
 STAGES = ("ingest", "filter", "grid", "export")
+RUN, EVENTS = "run.json", "events.jsonl"
 HASH_PIECE = 1 << 22
 
 
@@ -61,7 +63,8 @@ def run(
     inputs : sequence of str
         Files, folders, globs.
     out : path
-        Folder of the results, made if it is not there.
+        Folder of the results, made if it is not there; or a URL, whose last name is then that of a folder here for
+        run.json, the log and the report.
     config : RunConfig
     listener : callable
         Told what happens, see `tiler.observe.events`.
@@ -75,37 +78,55 @@ def run(
     """
     if until not in STAGES:
         raise ConfigError(f"no stage {until!r}; there are {', '.join(STAGES)}")
-    config, out = config or RunConfig(), Path(out)
+    config, products = config or RunConfig(), str(out)
+    out = Path(products.rstrip("/").rpartition("/")[2] if is_url(products) else products)
     started = time.monotonic()
-    plan = make_plan(inputs, config, out)
+    plan = make_plan(inputs, config, None if is_url(products) else out)
     _make_folder(out)
-    url = config.store or str(out.resolve() / "store.zarr")  # workers have folders of their own
+    if not is_url(products):
+        products = str(out.resolve())  # workers have folders of their own
+    url = config.store or joined(products, "store.zarr")
     if config.overwrite:
         remove_store(url)
     plan, store = _frozen(plan, url)
-    with store.lock() as lease, EventLog(out / "events.jsonl") as log:
-        result = _locked_run(plan, store, lease, out, combine(listener, log), until, started)
+    with store.lock() as lease, _copied(out, products), EventLog(out / EVENTS) as log:
+        job = Job(plan, out, products, store, combine(listener, log), lease=lease)
+        result = _locked_run(job, until, started)
     if config.clean_store and until == "export":
         remove_store(url)
     return result
 
 
-def _locked_run(
-    plan: Plan,
-    store: TileStore,
-    lease: Lease,
-    out: Path,
-    listener: Listener,
-    until: str,
-    started: float,
-) -> RunResult:
+@contextmanager
+def _copied(out: Path, products: str) -> Iterator[None]:
+    """Copy run.json, the log and the report to where the products are, if that is a URL, however the run ends."""
+
+    def copy() -> None:
+        for path in (out / name for name in (RUN, EVENTS, REPORT)) if is_url(products) else ():
+            if path.is_file():
+                put_file(path, joined(products, path.name))
+
+    try:
+        yield
+    except BaseException:
+        with suppress(ProcessingError):  # what ended the run is told
+            copy()
+        raise
+    copy()
+
+
+def _locked_run(job: Job, until: str, started: float) -> RunResult:
     """The run itself, by the one process that holds the store."""
+    plan, listener = job.plan, job.listener
     for text in plan.notes:
         listener("note", {"text": text})
     for text in plan.warnings:
         listener("warning", {"text": text})
-    job = Job(plan, out, store, listener, lease=lease)
-    job.facts["earlier_outputs"] = earlier_outputs(out)
+    if is_url(job.products):
+        job.note(
+            f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
+        )
+    job.facts["earlier_outputs"] = earlier_outputs(job.out)
     try:
         _healing_stages(job, until)
     except BaseException:
@@ -113,11 +134,10 @@ def _locked_run(
             job.save("interrupted")
         raise
     finally:
-        if job.executor is not None:
-            job.executor.close()
+        job.crew.close()
     if until != "export" and job.computed and job.facts["earlier_outputs"]:
         job.note(
-            f"files in {out} are those of an earlier run until `tiler export` or `tiler run` writes them anew"
+            f"files in {job.products} are those of an earlier run until `tiler export` or `tiler run` writes them anew"
         )
     job.facts["seconds"] = round(time.monotonic() - started, 3)
     remember(plan, job.stages)
@@ -190,12 +210,12 @@ def _numbered(job: Job) -> list[Source]:
 def _content_digest(path: Path) -> str:
     digest = hashlib.blake2b(digest_size=16)
     try:
-        with open(path, "rb") as stream:
+        with open_cloud(path) as stream:
             while part := stream.read(HASH_PIECE):
                 digest.update(part)
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read ({error.strerror}); see to the disk and its rights"
+            f"{path}: cannot be read ({error.strerror or error}); see to the disk and its rights"
         ) from error
     return digest.hexdigest()
 

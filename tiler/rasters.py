@@ -19,6 +19,7 @@ from tiler.earlier import put_aside
 from tiler.errors import ProcessingError
 from tiler.file_tasks import cog_tasks, mosaic_tasks
 from tiler.job import Commits, Job
+from tiler.places import is_url, joined, size_at
 from tiler.plan import GRID_BLOCK, KEEP
 from tiler.product_tasks import WHOLE, Gridding, raster_tasks, wanted
 from tiler.schedule import Task, digest_of
@@ -107,16 +108,16 @@ def export(
     job: Job, gridding: Gridding, sources: list[Source], spooled: Commits, labels: dict[Cell, str]
 ) -> None:
     """The files that people open."""
-    out, config = job.out.resolve(), job.plan.config
+    out, config = job.products, job.plan.config
     digest = digest_of(sorted(source.content for source in sources))
     tasks = list(cog_tasks(gridding, digest, out))
-    for folder in {task.arguments["out"] for task in tasks}:
+    for folder in {task.arguments["out"] for task in tasks if not is_url(out)}:
         Path(folder).mkdir(exist_ok=True)
     if config.method != KEEP:
         tasks += classified_tasks(job.plan, sources, spooled, labels, out)
     mosaics = list(mosaic_tasks(gridding, digest, out))
     basis = _basis(gridding)
-    written = {key: str(path.relative_to(out)) for key, path in _files([*tasks, *mosaics]).items()}
+    written = {key: _below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
     put_aside(job, written.values(), basis)
     rasters = _write(job, "export", tasks, out)
     if mosaics or job.store.committed("mosaic"):
@@ -134,24 +135,26 @@ def _basis(gridding: Gridding) -> str:
     return digest_of(terrain, config.voids, str(config.spike), str(config.sheets))
 
 
-def _files(tasks: list[Task]) -> dict[str, Path]:
-    """What each task writes."""
+def _files(tasks: list[Task]) -> dict[str, str]:
+    """What each task writes, by path or URL."""
     return {
-        t.key: Path(t.arguments["out"]) / t.key if t.key.endswith(RASTERS) else Path(t.arguments["out"])
+        t.key: joined(t.arguments["out"], t.key) if t.key.endswith(RASTERS) else t.arguments["out"]
         for t in tasks
     }
 
 
-def _write(job: Job, stage: str, tasks: list[Task], out: Path) -> bool:
+def _below(out: str, place: str) -> str:
+    return place.removeprefix(out.rstrip("/")).lstrip("/")
+
+
+def _write(job: Job, stage: str, tasks: list[Task], out: str) -> bool:
     """Write files that are not there; whether all rasters among them are."""
     files = _files(tasks)
     known = {k: r["bytes"] for k, (_, r) in job.store.committed(stage).items() if k in files}
-    gone = [k for k, size in known.items() if not (files[k].exists() and files[k].stat().st_size == size)]
+    gone = [k for k, size in known.items() if size_at(files[k]) != size]
     job.take_back(stage, gone)
-    written = job.perform(stage, tasks)
-    job.facts["outputs"] |= {
-        str(files[k].relative_to(out)): record["bytes"] for k, (_, record) in written.items()
-    }
+    written = job.perform(stage, tasks, writes_out=True)
+    job.facts["outputs"] |= {_below(out, files[k]): record["bytes"] for k, (_, record) in written.items()}
     for _, record in written.values():
         for text in record.get("notes", ()):
             job.note(text)

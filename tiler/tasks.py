@@ -11,7 +11,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 from ptd.methods import METHODS
@@ -31,6 +30,7 @@ from tiler.ingest import (
     pieces,
     spool_piece,
 )
+from tiler.places import joined
 from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
 from tiler.tiles import hull, tiles_of
@@ -258,7 +258,7 @@ def classified_tasks(
     sources: Iterable[Source],
     spooled: Mapping[str, tuple[str, dict[str, Any]]],
     labels: Mapping[Cell, str],
-    out: Path,
+    out: str,
 ) -> Iterator[Task]:
     """One for each source."""
     for source in sources:
@@ -274,7 +274,7 @@ def classified_tasks(
         )
         arguments = {
             "path": str(source.info.path.resolve()), "source": source.number,
-            "out": str(out / "classified" / plan.names[source.info.path]), "labels": LABELS,
+            "out": joined(out, "classified", str(plan.names[source.info.path])), "labels": LABELS,
             "cells": [[c.ix, c.iy] for c in cells], "salvage": plan.config.salvage,
         }  # fmt: skip
         digest = digest_of(__version__, source.identity, arguments, [labels[c] for c in cells])

@@ -25,6 +25,7 @@ from tiler.las.headers import LasHeader, read_header
 from tiler.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
 from tiler.las.records import VariableRecord
 from tiler.las.writer import PointWriter, laszip_vlr
+from tiler.places import cloud_path, folder_for, open_cloud
 from tiler.store import TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27
@@ -44,7 +45,7 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ----------
     store_url : str
     args : dict
-        ``path`` (str) and ``source`` (int) of the input; ``out`` (str, the final name); ``labels`` (str,
+        ``path`` (str) and ``source`` (int) of the input; ``out`` (str, the final name, a path or URL); ``labels`` (str,
         the name of the final labels); ``cells`` ([[ix, iy], ...], the buckets that hold points of it);
         ``salvage`` (bool).
         A label of 0, and a point that the store does not hold, keep the source's class.
@@ -63,14 +64,20 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         The file cannot be written, or lazrs cannot compress it without loss.
     """
     store = open_store(store_url)
-    header = read_header(Path(args["path"]), bool(args.get("salvage", False)))
+    header = read_header(cloud_path(args["path"]), bool(args.get("salvage", False)))
     header = replace(header, point_count=count_decodable(header))  # as it was read, if it had to be salvaged
-    out = Path(args["out"])
+    place, name = os.path.split(args["out"])
+    with folder_for(place) as folder:
+        return _write(store, header, args, folder / name)
+
+
+def _write(store: TileStore, header: LasHeader, args: dict[str, Any], out: Path) -> dict[str, Any]:
+    """Write a cloud on this machine; the record of `write_classified`."""
     partial = out.with_name(out.name + ".partial")
     cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with open(header.path, "rb") as source, open(partial, "w+b") as target:
+        with open_cloud(header.path) as source, open(partial, "w+b") as target:
             notes = _write_front(header, source, target)
             record = _write_points(header, target, store, int(args["source"]), args["labels"], cells)
             _write_back(header, source, target)

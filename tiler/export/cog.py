@@ -26,6 +26,7 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.geotiff import CACHE_MB, TILE, RasterLook, plain_geotiff, raster_errors
+from tiler.places import folder_for
 from tiler.store import TileStore, open_store
 
 
@@ -77,10 +78,10 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     store_url : str
     args : dict
         ``name``: of the file. ``raster``: in the store (default: ``name``). ``product``: key of `PRODUCTS`, for the
-        type and looks (default: dtm). ``spec``: `RasterSpec` as JSON. ``out``: folder that exists. ``compress``:
-        ``deflate`` or ``zstd``. ``tags``: mapping of str to str, the provenance (TILER_VERSION, TILER_METHOD,
-        TILER_PARAMETERS, TILER_INPUTS). For a sheet ``whole``: `RasterSpec` of the raster in the store as JSON,
-        ``spec`` being the sheet's; ``fill``: value beyond it. ``nodata``: of the file (default: that of
+        type and looks (default: dtm). ``spec``: `RasterSpec` as JSON. ``out``: folder that exists, or a URL.
+        ``compress``: ``deflate`` or ``zstd``. ``tags``: mapping of str to str, the provenance (TILER_VERSION,
+        TILER_METHOD, TILER_PARAMETERS, TILER_INPUTS). For a sheet ``whole``: `RasterSpec` of the raster in the store
+        as JSON, ``spec`` being the sheet's; ``fill``: value beyond it. ``nodata``: of the file (default: that of
         the store).
 
     Returns
@@ -95,7 +96,12 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         The disk is full or the file cannot be written.
     """
     store, spec = open_store(store_url), RasterSpec.from_json(args["spec"])
-    target = Path(args["out"]) / f"{args['name']}.tif"
+    with folder_for(args["out"]) as folder:
+        return _write(store, spec, args, folder / f"{args['name']}.tif")
+
+
+def _write(store: TileStore, spec: RasterSpec, args: dict[str, Any], target: Path) -> dict[str, Any]:
+    """Write a raster on this machine; the record of `write_cog`."""
     plain, partial = (target.with_name(f"{target.name}.{kind}.partial") for kind in ("plain", "cog"))
     try:
         statistics = _write_plain(store, spec, args, plain)

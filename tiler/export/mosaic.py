@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -14,6 +13,7 @@ from tiler.core.products import PRODUCTS
 from tiler.core.raster import RasterSpec
 from tiler.export.cog import raster_look
 from tiler.export.geotiff import TILE, RasterLook, raster_errors
+from tiler.places import folder_for
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
@@ -26,7 +26,7 @@ def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ----------
     store_url : str
     args : dict
-        ``product``: key of `PRODUCTS`. ``out``: folder that exists. ``sheets``: pairs of a path relative to
+        ``product``: key of `PRODUCTS`. ``out``: folder that exists, or a URL. ``sheets``: pairs of a path relative to
         ``out`` and a `RasterSpec` as JSON, all on one lattice; at least one. ``tags``: as those of `write_cog`.
 
     Returns
@@ -49,15 +49,16 @@ def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     for path, spec in sheets:
         _add_sheet(band, path, spec, whole, _TYPES[product.dtype])
     ElementTree.indent(root)
-    target = Path(args["out"]) / f"{args['product']}.vrt"
-    partial = target.with_name(f"{target.name}.partial")
-    with raster_errors(target):
-        with open(partial, "wb") as stream:
-            ElementTree.ElementTree(root).write(stream, encoding="utf-8")
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, target)
-    return {"path": target.name, "bytes": target.stat().st_size}
+    with folder_for(args["out"]) as folder:
+        target = folder / f"{args['product']}.vrt"
+        partial = target.with_name(f"{target.name}.partial")
+        with raster_errors(target):
+            with open(partial, "wb") as stream:
+                ElementTree.ElementTree(root).write(stream, encoding="utf-8")
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(partial, target)
+        return {"path": target.name, "bytes": target.stat().st_size}
 
 
 def _hull(specs: list[RasterSpec]) -> RasterSpec:

@@ -19,6 +19,7 @@ from tiler.ingest.patches import Patch
 from tiler.las.columns import RGB_FORMATS
 from tiler.las.headers import read_header
 from tiler.las.reader import count_decodable, rows_at_once
+from tiler.places import is_url, list_clouds, stat_cloud
 from tiler.schedule.guard import Died, Guard
 
 Read = TypeVar("Read")
@@ -131,10 +132,13 @@ def find_inputs(
         raise InputError(
             f"{', '.join(map(str, paths))}: no .las or .laz file there; name files, folders or globs"
         )
-    return sorted(found.values())
+    return sorted(found.values(), key=lambda path: (is_url(path), str(path) if is_url(path) else path))
 
 
 def _expand(text: str, barred: set[Path], note: Callable[[str], None]) -> Iterator[Path]:
+    if is_url(text):
+        yield from list_clouds(text, SUFFIXES)
+        return
     path = Path(text)
     if path.is_dir():
         yield from _walk(path, barred, note)
@@ -168,7 +172,7 @@ def _walk(folder: Path, barred: set[Path], note: Callable[[str], None]) -> Itera
 
 def inspect(path: Path, salvage: bool = False) -> SourceInfo:
     """What a file holds, checked against its bytes and a sample of its points; raises InputError."""
-    header = read_header(Path(path), salvage)
+    header = read_header(path, salvage)
     header = replace(header, point_count=count_decodable(header))
     notes = list(header.notes)
     if header.point_count == 0:
@@ -196,10 +200,12 @@ def inspect_guarded(guard: Guard, path: Path, salvage: bool = False) -> SourceIn
 def read_guarded(guard: Guard, function: Callable[..., Read], path: Path, *arguments: Any) -> Read:
     """``function(path, ...)`` in a child process: a file that makes it crash, hang or eat memory is an InputError."""
     try:
-        seconds = INSPECTION_SECONDS + path.stat().st_size / BYTES_PER_SECOND
+        seconds = INSPECTION_SECONDS + stat_cloud(path).st_size / BYTES_PER_SECOND
         return guard.call(function, path, *arguments, seconds=seconds)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); name a readable file") from error
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror or error}); name a readable file"
+        ) from error
     except Died as died:
         raise InputError(f"{path}: what reads it {died}; get the file again") from died
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from tiler.ingest.requantise import fits_int32, to_counts
 from tiler.las.columns import class_and_flags, colours, returns
 from tiler.las.headers import LasHeader, read_header
 from tiler.las.reader import NEEDED, PointReader, Records
+from tiler.places import cloud_path
 from tiler.store import open_store
 
 NOT_FINITE = "not finite"
@@ -49,7 +49,7 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     """
     store = open_store(store_url)
     frame, lattice = store.meta.frame, store.meta.bucket
-    header = read_header(Path(args["path"]), bool(args.get("salvage", False)))
+    header = read_header(cloud_path(args["path"]), bool(args.get("salvage", False)))
     with PointReader(header, NEEDED) as reader:
         records = reader.read(int(args["start"]), int(args["count"]))
     limits = None if args.get("bounds") is None else Bounds.from_json(args["bounds"])

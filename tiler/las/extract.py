@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from tiler.las.headers import LasHeader, read_header
 from tiler.las.reader import EVERYTHING, PointReader, Records, rows_at_once
+from tiler.places import open_cloud
 
 _STEP = 1_000_000
 _PLACE_POINTS = 1000
@@ -96,7 +97,7 @@ def _coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[n
 
 def _write(header: LasHeader, records: Records, target: Path) -> None:
     """Bytes 94 to 375 of a LAS header that speak of its points, LAS 1.4 R15 table 3; returns are not counted."""
-    with open(header.path, "rb") as source:
+    with open_cloud(header.path) as source:
         front = bytearray(source.read(header.points_offset))
     bounds = []
     for axis in range(3):

@@ -16,6 +16,7 @@ from typing import BinaryIO, NoReturn
 from tiler.errors import InputError
 from tiler.las.laz import LazDamage, LazLayout, parse_laszip, read_table, walk_chunks
 from tiler.las.records import VariableRecord, walk_records
+from tiler.places import open_cloud, stat_cloud
 
 _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")
@@ -107,12 +108,11 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
     InputError
         The file cannot be opened, is no LAS, or claims what cannot be.
     """
-    path = Path(path)
     try:
-        stat = path.stat()
+        stat = stat_cloud(path)
         if not S_ISREG(stat.st_mode):  # to open a pipe would wait for its other end
             refuse(path, "is no regular file", "name LAS or LAZ files")
-        with open(path, "rb") as stream:
+        with open_cloud(path) as stream:
             header = _fixed_block(path, stream, stat.st_size, stat.st_mtime_ns, salvage)
             header = _records(header, stream, salvage)
             if header.laz is None:
@@ -128,7 +128,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
 
 def read_payload(path: Path, record: VariableRecord, limit: int = 1 << 24) -> bytes:
     """What a record holds, at most ``limit`` bytes."""
-    with open(path, "rb") as stream:
+    with open_cloud(path) as stream:
         stream.seek(record.payload)
         return stream.read(min(record.length, limit))
 

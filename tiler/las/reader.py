@@ -17,6 +17,7 @@ import numpy.typing as npt
 from tiler.errors import InputError
 from tiler.las.headers import AGAIN, LasHeader, refuse
 from tiler.las.laz import LazDamage, LazLayout, check_layers, is_panic
+from tiler.places import open_cloud
 
 Records = npt.NDArray[np.void]
 
@@ -85,9 +86,9 @@ class PointReader:
         self.dtype = record_dtype(header.point_format, header.record_length)
         self._selection = selection
         with decoding(header.path):
-            self._file: BinaryIO = open(header.path, "rb")  # noqa: SIM115 - closed by close()
+            self._file: BinaryIO = open_cloud(header.path)  # closed by close()
             # The decoder goes on where it left its file: checks of what comes next use another one.
-            self._probe: BinaryIO = open(header.path, "rb")  # noqa: SIM115
+            self._probe: BinaryIO = open_cloud(header.path)
         self._decoder: Any = None
         self._next = 0
 

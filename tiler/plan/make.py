@@ -19,6 +19,7 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import SourceInfo, agree, bounds_in_counts, find_inputs, inspect, inspect_guarded
+from tiler.places import cloud_path, is_url
 from tiler.plan import sizes
 from tiler.plan.crowd import Crowd
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
@@ -90,11 +91,13 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
 
 def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[Path, Path]:
     """Path of each classified file below OUT/classified; ConfigError where two would be one."""
-    folders = [Path(i) for i in inputs if Path(i).is_dir()]
+    # A URL names what is below it, or one object: then nothing is left of the name below it.
+    folders = [cloud_path(i) for i in inputs if is_url(i) or Path(i).is_dir()]
     names: dict[Path, Path] = {}
     taken: dict[str, Path] = {}
     for source in sources:
-        below = [source.path.relative_to(f) for f in folders if source.path.is_relative_to(f)]
+        same = [f for f in folders if type(f) is type(source.path) and f != source.path]
+        below = [Path(str(source.path.relative_to(f))) for f in same if source.path.is_relative_to(f)]
         name = below[0] if below else Path(source.path.name)
         stem = name.name[: -len(name.suffix)]
         stem = stem.removesuffix(".copc") if source.copc else stem

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tiler.schedule.guard import Died, Guard
 from tiler.schedule.serial import SerialExecutor
-from tiler.schedule.task import TRIES, Executor, Limits, Outcome, Perform, Task, Work, digest_of
+from tiler.schedule.task import TRIES, Executor, Limits, Look, Outcome, Perform, Task, Work, digest_of
 
 __all__ = [
     "TRIES",
@@ -12,6 +12,7 @@ __all__ = [
     "Executor",
     "Guard",
     "Limits",
+    "Look",
     "Outcome",
     "Perform",
     "SerialExecutor",

@@ -6,8 +6,11 @@ and how; the Dask worker lives on, with the other tasks that it holds.
 
 from __future__ import annotations
 
+import asyncio
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import distributed
 
@@ -51,13 +54,17 @@ class Children:
                 guard.close()  # the next try is another process's
         except Died as died:
             outcome = Outcome(task, None, str(died), WORKER_DIED, again=True)
-        except Exception as error:  # noqa: BLE001 - the task did not even reach the child, or its outcome the way back
-            outcome = Outcome(
-                task, None, f"{type(error).__name__}: {error}", type(error).__name__, again=True
-            )
+        except Exception as error:  # noqa: BLE001 - the task did not even reach the child, or its outcome us
+            kind = type(error).__name__
+            outcome = Outcome(task, None, f"{kind}: {error}", kind, again=True)
         finally:
             self._give_back(guard)
         return outcome
+
+    def call(self, run: Run, function: Callable[..., Any], *arguments: Any) -> Any:
+        """``function(*arguments)`` in a child for this alone; raises what it raises, or `Died`."""
+        with Guard(run.limits.memory_bytes) as guard:
+            return guard.call(function, *arguments, seconds=run.limits.seconds)
 
     def end(self, token: str) -> None:
         """End the children that work for one executor, and start none for it any more; forget the idle ones."""
@@ -98,6 +105,13 @@ class Children:
 def perform_in_child(run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
     """On a Dask worker: `Children.perform`."""
     return _children(distributed.get_worker()).perform(run, perform, store_url, task)
+
+
+async def call_in_child(
+    run: Run, function: Callable[..., Any], *arguments: Any, dask_worker: distributed.Worker
+) -> Any:
+    """On a Dask worker: `Children.call`, whatever tasks it has; Dask fills in the worker."""
+    return await asyncio.to_thread(_children(dask_worker).call, run, function, *arguments)
 
 
 def end_children(token: str, dask_worker: distributed.Worker) -> None:

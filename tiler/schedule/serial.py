@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from tiler.schedule.task import TRIES, Outcome, Perform, Task
+from tiler.schedule.task import TRIES, Look, Outcome, Perform, Task
 
 
 class SerialExecutor:
     """No worker but this process; the obvious reference for the others."""
 
     workers = 1
+
+    def on_each_worker(self, look: Look) -> None:
+        """Nothing: this process is the one that would look."""
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes in the order of the tasks."""

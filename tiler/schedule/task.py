@@ -93,10 +93,18 @@ Perform = Callable[[str, Task], Outcome]
 """``perform(store_url, task)``: runs the work on a worker, commits its record, never raises for a failed task."""
 
 
+Look = Callable[[Callable[..., Any], str], None]
+"""``look(ask, worker)``: ``ask(function, *arguments)`` is its result on that worker; raises what ends the run."""
+
+
 class Executor(Protocol):
     """Runs tasks; all executors give the same result."""
 
     workers: int
+
+    def on_each_worker(self, look: Look) -> None:
+        """Have `look` judge each worker of a cluster: those that are there now, and those that join later."""
+        ...
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes as they come, in any order, with a bounded number of tasks in flight; one a try."""

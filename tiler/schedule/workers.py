@@ -9,9 +9,10 @@ from __future__ import annotations
 import logging
 import time
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import dask
@@ -19,9 +20,9 @@ import distributed
 from distributed import KilledWorker
 
 from tiler.errors import ConfigError, ProcessingError
-from tiler.schedule.children import WORKER_DIED, Run, end_children, perform_in_child
+from tiler.schedule.children import WORKER_DIED, Run, call_in_child, end_children, perform_in_child
 from tiler.schedule.here import cluster_here
-from tiler.schedule.task import TRIES, Limits, Outcome, Perform, Task
+from tiler.schedule.task import TRIES, Limits, Look, Outcome, Perform, Task
 
 WAITING_PER_WORKER = 1
 """Tasks of a cluster that wait at their worker, so that it does not idle while the client hears of a result."""
@@ -83,6 +84,9 @@ class DaskExecutor:
             self._client = _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
+        self._judged: set[str] = set()
+        self._judge: Look | None = None
+        self.workers = 0
         self._look()
         if self.workers == 0:
             self._client.close()
@@ -92,10 +96,31 @@ class DaskExecutor:
 
     def _look(self) -> None:
         """See which workers there are."""
-        threads: dict[str, int] = self._client.nthreads()
+        self._looked = time.monotonic()
+        try:
+            threads: dict[str, int] = self._client.nthreads()
+        except (OSError, TimeoutError, AttributeError):
+            return  # a broken connection is told by the tasks
         self.workers = len(threads)
         self._room = max(sum(threads.values()) + WAITING_PER_WORKER * self.workers, 1)
-        self._looked = time.monotonic()
+        if self._judge is not None:
+            for worker in sorted(set(threads) - self._judged):
+                try:
+                    self._judge(partial(self._ask, worker), worker)
+                    self._judged.add(worker)
+                except ConfigError:
+                    if worker in self._client.nthreads():  # it did not go away meanwhile
+                        raise
+
+    def on_each_worker(self, look: Look) -> None:
+        """Have `look` judge each worker of a cluster: those that are there now, and those that join later."""
+        if self._cluster is None:
+            self._judge = look
+            self._look()
+
+    def _ask(self, worker: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        """What a function gives in a child of one worker."""
+        return self._client.run(call_in_child, self._run, function, *arguments, workers=[worker])[worker]
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes as they come, one a try; `Outcome.again` tells that another one follows."""
@@ -124,8 +149,7 @@ class DaskExecutor:
             if outcome.again:
                 submit(this.task, this.number + 1)
             if self._cluster is None and time.monotonic() - self._looked > LOOK_SECONDS:
-                with suppress(OSError, TimeoutError):  # a broken connection is told by the tasks
-                    self._look()
+                self._look()
             fill()
             yield outcome
 
@@ -164,10 +188,10 @@ class DaskExecutor:
 
     def close(self) -> None:
         """End what works for this executor, whatever it does; a cluster goes on."""
-        with suppress(OSError, TimeoutError, ValueError):  # the connection may be what ended the run
-            self._client.sync(
-                self._client._run, end_children, self._run.token, callback_timeout=CLOSE_SECONDS
-            )
+        if self._client.status == "running":  # else the connection is what ended the run
+            with suppress(OSError, TimeoutError):
+                ending = self._client._run, end_children, self._run.token
+                self._client.sync(*ending, callback_timeout=CLOSE_SECONDS)
         with suppress(OSError, TimeoutError):
             self._client.close(timeout=CLOSE_SECONDS)
         if self._cluster is not None:

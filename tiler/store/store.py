@@ -280,6 +280,14 @@ class TileStore:
         """Hold the store for one run; raises LockedError, naming the holder, while another run does."""
         return lock.locked(self._storage)
 
+    def try_write(self, name: str) -> None:
+        """Write an object, read it and remove it again; raises StoreError or ProcessingError where that fails."""
+        key = f"trial/{name}"
+        self._storage.put_json(key, name)
+        if self._storage.get_json(key) != name:
+            raise StoreError(f"{self.url}: {key} was written, and cannot be read")
+        self._storage.delete(key)
+
     def usage(self) -> Usage:
         """Objects and bytes of the store (lists all of it)."""
         return self._storage.usage()

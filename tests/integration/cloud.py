@@ -1,0 +1,144 @@
+"""An S3 server on loopback, scheduler and workers as processes of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.integration.command import environment
+
+BUCKET = "bucket"
+
+
+@contextlib.contextmanager
+def object_store() -> Iterator[dict[str, str]]:
+    """A server, and the variables with which everybody finds it."""
+    from moto.server import ThreadedMotoServer
+
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    try:
+        yield {
+            "AWS_ENDPOINT_URL": f"http://{host}:{port}", "AWS_ACCESS_KEY_ID": "key",
+            "AWS_SECRET_ACCESS_KEY": "secret", "AWS_DEFAULT_REGION": "us-east-1",
+        }  # fmt: skip
+    finally:
+        server.stop()
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+class Cluster:
+    """A Dask scheduler and workers; a context manager.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the processes, and of their logs.
+    """
+
+    def __init__(self, folder: Path, variables: dict[str, str] | None = None) -> None:
+        self.folder = folder
+        self.port = free_port()
+        self.address = f"tcp://127.0.0.1:{self.port}"
+        self._variables = variables or {}
+        self._processes: list[subprocess.Popen[bytes]] = []
+
+    def __enter__(self) -> Cluster:
+        self._start(
+            "dask.__main__", "scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"
+        )
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for process in reversed(self._processes):
+            process.terminate()
+        for process in reversed(self._processes):
+            try:
+                process.wait(timeout=30)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def worker(self, **variables: str) -> subprocess.Popen[bytes]:
+        """One more worker, without a nanny: what kills it is the loss of a machine."""
+        return self._start(
+            "dask.__main__", "worker", self.address, "--nthreads", "1", "--memory-limit", "0", "--no-dashboard",
+            "--no-nanny", "--local-directory", str(self.folder), **variables,
+        )  # fmt: skip
+
+    def wait_for(self, workers: int) -> None:
+        from distributed import Client
+
+        with Client(self.address, timeout=60, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=120)
+
+    def _start(self, *arguments: str, **variables: str) -> subprocess.Popen[bytes]:
+        with open(self.folder / f"log-{len(self._processes)}", "wb") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", *arguments], cwd=self.folder, stdout=log, stderr=log,
+                env={**environment(), **self._variables, **variables},
+            )  # fmt: skip
+        self._processes.append(process)
+        return process
+
+
+def blind(token: str) -> bool:
+    """Instead of `tiler.access.sees`: a worker that sees no folder of the client."""
+    return False
+
+
+class Cable(threading.Thread):
+    """Between a client and a scheduler; it can be cut, and the next connection holds again.
+
+    Parameters
+    ----------
+    port : int
+        Of the scheduler.
+    """
+
+    def __init__(self, port: int) -> None:
+        super().__init__(daemon=True)
+        self._port = port
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self._ends: list[socket.socket] = []
+        self.address = f"tcp://127.0.0.1:{self._listening.getsockname()[1]}"
+
+    def run(self) -> None:
+        while True:
+            try:
+                near, _ = self._listening.accept()
+            except OSError:
+                return
+            far = socket.create_connection(("127.0.0.1", self._port))
+            self._ends += [near, far]
+            for ends in ((near, far), (far, near)):
+                threading.Thread(target=self._carry, args=ends, daemon=True).start()
+
+    def _carry(self, source: socket.socket, target: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(1 << 16):
+                target.sendall(data)
+            target.shutdown(socket.SHUT_WR)
+
+    def cut(self, for_good: bool = False) -> None:
+        if for_good:
+            self._listening.shutdown(socket.SHUT_RDWR)
+            self._listening.close()
+        for end in self._ends:
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+        self._ends.clear()

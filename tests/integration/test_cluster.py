@@ -1,0 +1,167 @@
+"""A cluster of processes, an object store that is all that they share, and what can go wrong with both."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.integration.cloud import BUCKET, Cable, Cluster, blind, object_store
+from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, environment, tiler
+from tests.integration.test_interrupt import wait_for
+from tests.invariants import clouds
+from tests.invariants.runs import do, output_digests
+
+pytestmark = pytest.mark.slow
+
+OPTIONS = (
+    "--method", "classic", "--resolution", 1, "--tile-size", 64, "--halo", 80, "--memory", "1GiB",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(192.0, 2.0))
+
+
+@pytest.fixture(scope="module")
+def local(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """OUT of a run of one process."""
+    out = tmp_path_factory.mktemp("local") / "out"
+    do(cloud, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def bucket(cloud: Path) -> Iterator[Any]:
+    """The file system of an S3 server that holds the cloud; its variables are those of this process."""
+    pytest.importorskip("moto.server", reason="no S3 server: moto is not installed")
+    pytest.importorskip("upath")
+    s3fs = pytest.importorskip("s3fs")
+    with object_store() as variables, pytest.MonkeyPatch.context() as patch:
+        for name, value in variables.items():
+            patch.setenv(name, value)
+        system = s3fs.S3FileSystem()
+        system.mkdir(BUCKET)
+        system.put_file(str(cloud), f"{BUCKET}/clouds/city.laz")
+        yield system
+        s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    with Cluster(tmp_path) as cluster:
+        yield cluster
+
+
+def start(*arguments: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command("run", *arguments, *OPTIONS), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=environment(),
+    )  # fmt: skip
+
+
+def ended(process: subprocess.Popen[str]) -> str:
+    """What a run that ends well said."""
+    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
+    assert process.returncode == 0, error
+    return error
+
+
+def test_a_worker_is_lost_and_one_joins(
+    bucket: Any, cluster: Cluster, cloud: Path, local: Path, tmp_path: Path
+) -> None:
+    """Workers share nothing with the client but the object store; the bytes are those of one process."""
+    first = cluster.worker()
+    cluster.worker()
+    cluster.wait_for(2)
+    out = tmp_path / "out"
+    store = f"s3://{BUCKET}/killed"
+    process = start(f"s3://{BUCKET}/clouds", "-o", out, "--store", store, "--scheduler", cluster.address)
+    wait_for(out, "task_done", "filter0", process)
+    first.kill()
+    cluster.worker()
+    ended(process)
+    assert output_digests(out) == output_digests(local)
+    assert not json.loads((out / "run.json").read_text())["failed_tasks"]
+
+
+def test_everything_by_url(
+    bucket: Any, cluster: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cluster.worker()
+    cluster.worker()
+    cluster.wait_for(2)
+    monkeypatch.chdir(tmp_path)
+    arguments = (f"s3://{BUCKET}/clouds/*.laz", "-o", f"s3://{BUCKET}/town", "--scheduler", cluster.address)
+    ended(start(*arguments))
+    assert sorted(p.name for p in (tmp_path / "town").iterdir()) == [
+        "events.jsonl",
+        "report.html",
+        "run.json",
+    ]
+    bucket.get(f"{BUCKET}/town/dtm.tif", str(tmp_path / "copy/dtm.tif"))
+    bucket.get(f"{BUCKET}/town/classified/", str(tmp_path / "copy/classified/"), recursive=True)
+    assert output_digests(tmp_path / "copy") == output_digests(local)
+    assert json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["state"] == "done"
+    bucket.rm_file(f"{BUCKET}/town/dtm.tif")
+    again = json.loads(tiler("run", *arguments, *OPTIONS, "--json").stdout)["stages"]
+    assert {name: stage["computed"] for name, stage in again.items() if stage["computed"]} == {"export": 1}
+    ended(start(*arguments, "--sheets", "100"))
+    sheets = json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["outputs"]
+    assert sum(name.startswith("dtm/dtm_") for name in sheets) == 4  # CRS 0 is a corner
+    assert all(bucket.info(f"{BUCKET}/town/{name}")["size"] == size for name, size in sheets.items())
+
+
+def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_path: Path) -> None:
+    """It is taken up again; a scheduler that is gone ends the run, which goes on without it."""
+    cluster.worker()
+    cluster.worker()
+    cluster.wait_for(2)
+    cable, out = Cable(cluster.port), tmp_path / "out"
+    cable.start()
+    process = start(cloud, "-o", out, "--scheduler", cable.address)
+    wait_for(out, "task_done", "filter0", process)
+    cable.cut()
+    ended(process)
+    assert output_digests(out) == output_digests(local)
+    gone = tmp_path / "gone"
+    process = start(cloud, "-o", gone, "--scheduler", cable.address, "-q")
+    wait_for(gone, "task_done", "filter0", process)
+    cable.cut(for_good=True)
+    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
+    assert process.returncode == 4, error
+    assert_one_line(error.splitlines()[-1], "the connection broke and does not come back")
+    do(cloud, gone)
+    assert output_digests(gone) == output_digests(local)
+
+
+def test_workers_that_see_no_folder_of_the_client(
+    bucket: Any, cluster: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command writes the files itself."""
+    cluster.worker()
+    cluster.wait_for(1)
+    monkeypatch.setattr("tiler.access.sees", blind)
+    out = tmp_path / "out"
+    changes = {"store": f"s3://{BUCKET}/blind", "scheduler": cluster.address, "in_process": False}
+    result = do([f"s3://{BUCKET}/clouds"], out, **changes)  # type: ignore[list-item]
+    assert any("do not see" in note for note in result.summary["notes"])
+    assert output_digests(out) == output_digests(local)
+
+
+def test_workers_without_credentials(bucket: Any, cluster: Cluster, tmp_path: Path) -> None:
+    """One line, before the first task."""
+    cluster.worker(AWS_ACCESS_KEY_ID="", AWS_SECRET_ACCESS_KEY="", AWS_EC2_METADATA_DISABLED="true")
+    cluster.wait_for(1)
+    store = f"s3://{BUCKET}/denied"
+    done = tiler(
+        "run", f"s3://{BUCKET}/clouds", "-o", tmp_path / "out", "--store", store, "--scheduler", cluster.address,
+        *OPTIONS, "-q",
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert_one_line(done.stderr.splitlines()[-1], "cannot read s3://", "credentials that the workers have")

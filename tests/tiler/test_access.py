@@ -1,0 +1,93 @@
+"""What a worker of a cluster must have: the client's versions, the inputs, the store, and perhaps OUT."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tiler import access
+from tiler.access import Access
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Lattice
+from tiler.errors import ConfigError
+from tiler.store import StoreMeta, create_store
+
+
+def here(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Instead of a worker: this process."""
+    return function(*arguments)
+
+
+@pytest.fixture
+def asked(tmp_path: Path) -> Callable[..., Access]:
+    cloud, store = tmp_path / "cloud.laz", tmp_path / "store.zarr"
+    cloud.write_bytes(b"x" * 100)
+    meta = StoreMeta(CoordFrame(origin=(0, 0)), Lattice(Fraction(10_000)), Lattice(Fraction(1000)), False)
+    create_store(str(store), meta)
+
+    def make(path: Path = cloud, size: int = 100, url: str = str(store)) -> Access:
+        return Access("tcp://s:1", [(str(path), size)], url, str(tmp_path))
+
+    return make
+
+
+def test_a_worker_that_has_all(asked: Callable[..., Access], tmp_path: Path) -> None:
+    look = asked()
+    look(here, "tcp://w:2")
+    assert look.out_seen
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["cloud.laz", "store.zarr"]
+
+
+def test_a_worker_that_does_not_see_out(
+    asked: Callable[..., Access], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    look = asked()
+    monkeypatch.setattr(access, "sees", lambda token: not Path(token).exists())
+    look(here, "tcp://w:2")
+    assert not look.out_seen
+    look(here, "tcp://w:3")
+    assert not look.out_seen
+
+
+def test_other_versions(asked: Callable[..., Access]) -> None:
+    def old(function: Callable[..., Any], *arguments: Any) -> Any:
+        return {**access.versions(), "numpy": "1.0", "Python": "3.9"}
+
+    with pytest.raises(
+        ConfigError, match=r"worker tcp://w:2 has Python 3.9, here .*; numpy 1.0, here .*; install the same"
+    ):
+        asked()(old, "tcp://w:2")
+
+
+def test_a_worker_without_tiler(asked: Callable[..., Access]) -> None:
+    def bare(function: Callable[..., Any], *arguments: Any) -> Any:
+        raise ModuleNotFoundError("No module named 'tiler'")
+
+    with pytest.raises(
+        ConfigError, match=r"worker tcp://w:2 cannot do as tiler .*No module named 'tiler'.*install it there"
+    ):
+        asked()(bare, "tcp://w:2")
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (
+            {"path": Path("/nowhere/cloud.laz")},
+            r"cannot read /nowhere/cloud.laz \(No such file.*inputs by URL",
+        ),
+        ({"size": 99}, r"cannot read .*cloud.laz \(100 bytes there, 99 here\)"),
+        ({"url": "/nowhere/store.zarr"}, r"cannot use /nowhere/store.zarr \(.*--store by URL"),
+        (
+            {"url": "nosuch://bucket/store"},
+            r"cannot use nosuch://bucket/store .*see to the URL and to the credentials",
+        ),
+    ],
+)
+def test_a_worker_that_cannot_reach(asked: Callable[..., Access], changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        asked(**changes)(here, "tcp://w:2")

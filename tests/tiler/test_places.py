@@ -1,0 +1,80 @@
+"""Paths and URLs, read and listed alike."""
+
+from __future__ import annotations
+
+import uuid
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tiler import places
+from tiler.errors import ConfigError, ProcessingError
+
+
+@pytest.fixture
+def folder() -> str:
+    """A URL with objects below it."""
+    pytest.importorskip("upath", reason="no URLs: universal-pathlib is not installed")
+    url = f"memory://{uuid.uuid4().hex}"
+    for name in ("a.laz", "b/c.LAS", "b/readme.txt"):
+        places.cloud_path(f"{url}/{name}").write_bytes(bytes(range(200)) * 3)
+    return url
+
+
+def test_clouds_are_listed(folder: str) -> None:
+    def names(url: str) -> list[str]:
+        return [str(p).removeprefix(folder) for p in places.list_clouds(url, (".las", ".laz"))]
+
+    assert names(folder) == names(f"{folder}/") == ["/a.laz", "/b/c.LAS"]
+    assert names(f"{folder}/**/*.LAS") == ["/b/c.LAS"]
+    assert names(f"{folder}/b/readme.txt") == ["/b/readme.txt"]  # named by itself it is taken at its word
+    with pytest.raises(ConfigError, match="nothing there; name LAS or LAZ objects"):
+        places.list_clouds(f"{folder}/nowhere", (".las",))
+
+
+def test_any_part_of_an_object_is_read(folder: str) -> None:
+    path = places.cloud_path(f"{folder}/a.laz")
+    assert places.stat_cloud(path).st_size == places.size_at(str(path)) == 600
+    with places.open_cloud(path) as stream:
+        assert stream.seek(250) == 250
+        assert stream.read(3) == bytes((50, 51, 52))
+        assert stream.tell() == 253
+        stream.seek(-2, 2)
+        assert stream.read(10) == bytes((198, 199))
+        buffer = bytearray(4)
+        stream.seek(0)
+        assert stream.readinto(buffer) == 4  # type: ignore[attr-defined]
+        assert buffer == bytes((0, 1, 2, 3))
+
+
+def test_what_is_written_into_a_url_appears_when_it_is_whole(folder: str) -> None:
+    with places.folder_for(f"{folder}/out") as scratch:
+        (scratch / "x.tif").write_bytes(b"whole")
+        assert places.size_at(f"{folder}/out/x.tif") is None
+    assert places.size_at(f"{folder}/out/x.tif") == 5
+    assert not scratch.exists()
+    with suppress(ZeroDivisionError), places.folder_for(f"{folder}/out") as scratch:
+        (scratch / "y.tif").write_bytes(b"half")
+        raise ZeroDivisionError
+    assert places.size_at(f"{folder}/out/y.tif") is None
+    assert not scratch.exists()
+
+
+def test_a_path_is_a_path(tmp_path: Path) -> None:
+    assert places.cloud_path(str(tmp_path)) == tmp_path
+    with places.folder_for(str(tmp_path)) as folder:
+        assert folder == tmp_path
+    assert places.size_at(str(tmp_path / "nowhere")) is None
+    assert places.joined("a/", "b", "c") == "a/b/c"
+
+
+def test_what_no_library_knows() -> None:
+    with pytest.raises(ConfigError, match=r"nosuch://x/y: cannot be read .*tiler-dtm\[cloud\]"):
+        places.cloud_path("nosuch://x/y").exists()
+
+
+def test_a_target_that_refuses(tmp_path: Path) -> None:
+    (tmp_path / "x").write_bytes(b"x")
+    with pytest.raises(ProcessingError, match="cannot be written"):
+        places.put_file(tmp_path / "x", "nosuch://x/y")

@@ -1,0 +1,149 @@
+"""What the workers of a cluster can reach, looked at before the first task: versions, inputs, store, OUT."""
+
+from __future__ import annotations
+
+import platform
+import uuid
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from tiler import __version__
+from tiler.errors import ConfigError, TilerError
+from tiler.places import cloud_path, is_url, joined, stat_cloud, try_write
+from tiler.store import open_store
+
+LIBRARIES = ("numpy", "scipy", "numba", "zarr", "laspy", "lazrs", "rasterio", "pyproj", "distributed")
+"""That the bytes of a result can depend on, or whether client and workers understand each other."""
+
+LOOKED_AT = 20
+"""Inputs that a worker looks at: the first, the last, and some between them."""
+
+
+def versions() -> dict[str, str]:
+    """Of tiler, Python and `LIBRARIES` in this process."""
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"tiler": __version__, "Python": python, **{name: version(name) for name in LIBRARIES}}
+
+
+class Access:
+    """Judges the workers of a cluster; an instance is a `tiler.schedule.Look`.
+
+    Parameters
+    ----------
+    scheduler : str
+        Its address, for messages.
+    sources : sequence of (str, int)
+        Path or URL of each input, and its bytes.
+    store_url : str
+    products : str
+        Folder or URL of the files that the run writes.
+
+    Attributes
+    ----------
+    out_seen : bool
+        Every worker so far can write into OUT.
+    """
+
+    def __init__(
+        self, scheduler: str, sources: Sequence[tuple[str, int]], store_url: str, products: str
+    ) -> None:
+        self._scheduler, self._store_url = scheduler, store_url
+        step = max(len(sources) // LOOKED_AT, 1)
+        self._sources = [*sources[::step], *sources[-1:]]
+        self._products = products
+        self.out_seen = True
+
+    def __call__(self, ask: Callable[..., Any], worker: str) -> None:
+        """Raise ConfigError if a worker cannot take part."""
+        found = self._asked(ask, worker, versions)
+        here = versions()
+        others = [f"{n} {found.get(n)}, here {v}" for n, v in here.items() if found.get(n) != v]
+        if others:
+            self._refuse(worker, f"has {'; '.join(others)}; install the same versions")
+        for place, reason in self._asked(ask, worker, unreadable, self._sources):
+            self._refuse(worker, f"cannot read {place} ({reason}); {_remedy(place, 'inputs')}")
+        for reason in self._asked(ask, worker, unusable, self._store_url):
+            self._refuse(
+                worker, f"cannot use {self._store_url} ({reason}); {_remedy(self._store_url, '--store')}"
+            )
+        if is_url(self._products):
+            for reason in self._asked(ask, worker, unwritable, self._products):
+                self._refuse(
+                    worker, f"cannot write into {self._products} ({reason}); {_remedy(self._products, '-o')}"
+                )
+            return
+        token = Path(self._products) / f".tiler-{uuid.uuid4().hex}.partial"
+        try:
+            token.touch()
+            self.out_seen &= bool(self._asked(ask, worker, sees, str(token)))
+        finally:
+            token.unlink(missing_ok=True)
+
+    def _asked(
+        self, ask: Callable[..., Any], worker: str, function: Callable[..., Any], *arguments: Any
+    ) -> Any:
+        try:
+            return ask(function, *arguments)
+        except (Exception, CancelledError) as error:
+            text = (
+                f"cannot do as tiler {__version__} asks ({type(error).__name__}: {error}); install it there, "
+            )
+            raise self._refusal(worker, text + "with the libraries that are here") from error
+
+    def _refuse(self, worker: str, what: str) -> None:
+        raise self._refusal(worker, what)
+
+    def _refusal(self, worker: str, what: str) -> ConfigError:
+        return ConfigError(f"--scheduler {self._scheduler}: worker {worker} {what}")
+
+
+def _remedy(place: str, what: str) -> str:
+    if is_url(place):
+        return "see to the URL and to the credentials that the workers have"
+    return f"{what} by URL (s3://...), or on a disk that all machines share"
+
+
+def unreadable(sources: Sequence[tuple[str, int]]) -> list[tuple[str, str]]:
+    """On a worker: the first input that it cannot read, and why; empty where it reads all."""
+    for place, size in sources:
+        try:
+            found = stat_cloud(cloud_path(place)).st_size
+        except (OSError, TilerError) as error:
+            return [(place, getattr(error, "strerror", None) or str(error))]
+        if found != size:
+            return [(place, f"{found:,} bytes there, {size:,} here")]
+    return []
+
+
+def unusable(store_url: str) -> list[str]:
+    """On a worker: why it cannot read or write the store; empty where it can."""
+    try:
+        open_store(store_url).try_write(uuid.uuid4().hex)
+    except Exception as error:  # noqa: BLE001 - libraries of object stores have exceptions of their own
+        return [str(error)]
+    return []
+
+
+def unwritable(url: str) -> list[str]:
+    """On a worker: why it cannot write at a URL; empty where it can."""
+    try:
+        try_write(joined(url, f".tiler-{uuid.uuid4().hex}"))
+    except OSError as error:
+        return [str(error)]
+    return []
+
+
+def sees(token: str) -> bool:
+    """On a worker: whether a file of the client is there, in a folder that can be written."""
+    mine = Path(f"{token}.worker.partial")
+    try:
+        if not Path(token).exists():
+            return False
+        mine.touch()
+        mine.unlink()
+    except OSError:
+        return False
+    return True
