@@ -95,6 +95,10 @@ def _tell_of_mask(job: Job, made: Mapping[str, Any]) -> None:
 
 
 def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
+    if job.plan.thin_ground and job.plan.config.surface_percent is None:
+        job.note(
+            "one ground point a quarter pixel makes the surface: in the densest place all would be too many"
+        )
     records = [record for _, record in made.values()]
     job.facts["dtm"] = {
         "width": spec.width, "height": spec.height, "resolution_m": float(job.plan.resolution),

@@ -38,9 +38,6 @@ from tiler.tiles import hull, tiles_of
 ERODE_RISE_M = 1
 """How much higher than a ground point an object beside it has to be for `--erode`."""
 
-SURFACE_SHARE, THIN_SHARE = 2, 4
-"""Parts of a pixel's side: cells that give one point to the surface, by percentile or for the sake of memory."""
-
 GROUP = 4
 """Buckets a side that one assembly task writes."""
 
@@ -229,8 +226,11 @@ def ground_arguments(plan: Plan) -> dict[str, Any]:
 def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], name: str) -> Iterator[Task]:
     """One for each block of the raster that a facet could reach."""
     spec, frame = raster_spec(plan, assembled), plan.meta.frame
-    max_edge, percent = frame.counts(plan.config.max_edge), plan.config.surface_percent
-    share = SURFACE_SHARE if percent is not None else THIN_SHARE if plan.thin_ground else None
+    max_edge, percent, share = (
+        frame.counts(plan.config.max_edge),
+        plan.config.surface_percent,
+        plan.surface_share,
+    )
     reach = full_halo(max_edge) + math.ceil(frame.counts(plan.config.erode))
     common = {
         "name": name, "spec": spec.to_json(), "data": assembled.bounds().to_json(), **ground_arguments(plan),

@@ -1,6 +1,6 @@
 """Grid: heights at pixel centres on the TIN of the merged ground points, and what follows, block by block."""
 
-from tiler.grid.block import full_halo, grid_block
+from tiler.grid.block import SMALLEST_PART, full_halo, grid_block
 from tiler.grid.density import density_block
 from tiler.grid.derived import derive_block
 from tiler.grid.distance import distance_block
@@ -10,6 +10,7 @@ from tiler.grid.survey import occupancy_block, survey_raster
 from tiler.grid.voids import fill_block, find_voids
 
 __all__ = [
+    "SMALLEST_PART",
     "density_block",
     "derive_block",
     "distance_block",

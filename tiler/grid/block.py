@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,15 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
-from tiler.grid.ground import Ground, GroundRule, central_points, ranked_points, read_ground, whole_cells
+from tiler.grid.ground import (
+    Choose,
+    Ground,
+    GroundRule,
+    central_points,
+    ranked_points,
+    read_ground,
+    whole_cells,
+)
 from tiler.store import TileStore, open_store
 
 SMALLEST_PART = 32
@@ -101,10 +110,13 @@ def _too_full(store: TileStore, args: dict[str, Any], halo: int) -> bool:
     """Whether a block's window holds too many points; the smallest part is done however many they are."""
     if "max_points" not in args or max(args["block"][2:]) <= SMALLEST_PART:
         return False
-    window = RasterSpec.from_json(args["spec"]).block_bounds(Block(*args["block"])).pad(halo)
-    infos = store.buckets()
-    points = sum(infos[cell].n for cell in store.meta.bucket.cells(window) if cell in infos)
-    return points > int(args["max_points"])
+    job = read_job(args)
+    window, infos, lattice = job.spec.block_bounds(job.block).pad(halo), store.buckets(), store.meta.bucket
+    held = [infos[cell].n for cell in lattice.cells(window) if cell in infos]
+    if job.thin is not None and _by_bucket(store, job):
+        most = math.ceil(lattice.size / job.thin.size + 1) ** 2
+        held = [min(points, most) for points in held]
+    return sum(held) > int(args["max_points"])
 
 
 def _in_quarters(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[str, Any]]:
@@ -162,7 +174,7 @@ def _attempt(store: TileStore, job: GridJob, window: Bounds) -> tuple[Heights, d
         "filled": filled,
         "nodata": heights.size - filled,
         "marked": int(raster.marks.sum()),
-        "ground_read": ground.xyz.shape[1],
+        "ground_read": ground.read,
         "ground_used": xyz.shape[1],
         "ground_marked": ground.marked,
     }
@@ -189,17 +201,31 @@ def _ground(store: TileStore, job: GridJob, window: Bounds) -> tuple[Ground, npt
         ground = read_ground(store, job.rule, window)
         return ground, ground.xyz
     # Cells that the window cuts are read whole, so that the choice in them is everybody's choice.
-    ground = read_ground(store, job.rule, whole_cells(window, job.thin))
-    origin = store.meta.frame.origin
-    chosen = (
-        central_points(ground.xyz, origin, job.thin)
-        if job.percent is None
-        else ranked_points(ground.xyz, origin, job.thin, job.percent)
-    )
+    choose = _choice(job.thin, job.percent, store.meta.frame.origin)
+    at_once = choose if _by_bucket(store, job) else None
+    ground = read_ground(store, job.rule, whole_cells(window, job.thin), at_once)
+    origin, chosen = store.meta.frame.origin, choose(ground.xyz)
     xyz = ground.xyz[:, chosen]
     x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
     inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
     return ground, xyz[:, inside]
+
+
+def _choice(cell: Lattice, percent: int | None, origin: tuple[int, int]) -> Choose:
+    """Which point of each cell makes the surface."""
+    if percent is None:
+        return partial(central_points, origin=origin, lattice=cell)
+    return partial(ranked_points, origin=origin, lattice=cell, percent=percent)
+
+
+def _by_bucket(store: TileStore, job: GridJob) -> bool:
+    """Whether the choice may be made bucket by bucket, and again of all that is left.
+
+    The nearest of the nearest is the nearest, also where a cell lies in two buckets; ranks need all points of a cell.
+    """
+    if job.thin is None or job.rule.erode:
+        return False
+    return job.percent is None or (store.meta.bucket.size / job.thin.size).denominator == 1
 
 
 def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels:

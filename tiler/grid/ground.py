@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -60,19 +60,36 @@ class GroundRule:
         return table
 
 
+Choose = Callable[[npt.NDArray[np.int32]], npt.NDArray[np.intp]]
+"""Points, int32 (3, n), to indices of some of them."""
+
+
 @dataclass(frozen=True)
 class Ground:
-    """``xyz``: int32, shape (3, n), local counts; ``marked``: how many of them carry `MARK_BIT`."""
+    """``xyz``: int32, shape (3, n), local counts; ``read`` points they were, of which ``marked`` carry `MARK_BIT`."""
 
     xyz: npt.NDArray[np.int32]
+    read: int
     marked: int
 
 
-def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds) -> Ground:
-    """Ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order."""
+def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choose | None = None) -> Ground:
+    """Ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order.
+
+    Parameters
+    ----------
+    store : TileStore
+    rule : GroundRule
+    bounds : Bounds
+    choose : callable, optional
+        Which points of a bucket are kept, so that the others need no memory; not asked where the rule erodes, as that
+        comes before any choice.
+    """
+    choose = None if rule.erode else choose
     is_ground = rule.is_ground()
     columns = ("xyz", "flags") if rule.labels is not None else ("xyz", "flags", "classification")
     parts, marks, present = [np.empty((3, 0), np.int32)], [np.empty(0, np.bool_)], store.buckets()
+    read = 0
     for cell in store.meta.bucket.cells(bounds):
         if cell not in present:
             continue
@@ -81,15 +98,17 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds) -> Ground:
         classes = _there(column, store, cell)
         chosen = is_ground[classes] & _used(block, rule, store, cell)
         chosen &= block.inside(bounds, store.meta.frame.origin)
-        parts.append(block.xyz[:, chosen])
+        points = block.xyz[:, chosen]
+        read += points.shape[1]
+        parts.append(points if choose is None else points[:, choose(points)])
         marks.append((classes[chosen] >= MARK_BIT) & (rule.labels is not None))
     xyz, marked = np.concatenate(parts, axis=1), np.concatenate(marks)
     if rule.erode:
         stays = ~beside_objects(
             xyz, _objects(store, rule, bounds), rule.erode, rule.erode_rise, store.meta.frame.origin
         )
-        xyz, marked = np.ascontiguousarray(xyz[:, stays]), marked[stays]
-    return Ground(xyz, int(marked.sum()))
+        xyz, marked, read = np.ascontiguousarray(xyz[:, stays]), marked[stays], int(stays.sum())
+    return Ground(xyz, read, int(marked.sum()))
 
 
 def _objects(store: TileStore, rule: GroundRule, bounds: Bounds) -> npt.NDArray[np.int32]:

@@ -23,7 +23,11 @@ ASSEMBLY_POINT_BYTES = 800
 SPOOL_POINT_BYTES = 160
 """Of a point while its piece is decoded and sorted."""
 GROUND_BYTES = 200
-"""Of a ground point in a block's window: coordinates and the TIN."""
+"""Of a ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
+EXPORT_BYTES = 128 << 20
+"""Of a worker that writes a file: GDAL's blocks, or the records of a classified cloud that are at work."""
+EXPORT_POINTS = 1 << 27
+"""Of a classified cloud, whose labels are held at once, a byte each."""
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,13 @@ from typing import Any
 
 from tiler.config import RunConfig
 from tiler.core.lattice import Bounds
+from tiler.grid import SMALLEST_PART
 from tiler.ingest import SourceInfo
 from tiler.plan.crowd import Crowd
 from tiler.plan.memory import (
     BASE_BYTES,
+    EXPORT_BYTES,
+    EXPORT_POINTS,
     GROUND_BYTES,
     PlannedPass,
     bucket_bytes,
@@ -30,6 +33,8 @@ MAX_HALO_FACTOR = 4
 PIECE_POINTS = 1_000_000
 MAX_GROUND = 4_000_000
 """Points that the window of a part of a block may hold; denser clouds give one a quarter pixel, everywhere."""
+SURFACE_SHARE, THIN_SHARE = 2, 4
+"""Parts of a pixel's side: cells that give one point to the surface, by percentile or for the sake of memory."""
 PART = 128
 """Pixels a side of the parts into which blocks are divided where points are many."""
 
@@ -98,10 +103,34 @@ class Plan:
 
     @property
     def thin_ground(self) -> bool:
-        """Only one ground point per quarter pixel makes the surface."""
+        """Only one ground point per quarter pixel makes the surface.
+
+        Where parts of the mean density, or the smallest one in the fullest place, would hold too many.
+        """
         if self.thin is not None:
             return self.thin
-        return self.density * (PART * float(self.resolution) + 2 * float(self.grid_halo)) ** 2 > MAX_GROUND
+        mean = self.density * self._part_side_m(PART) ** 2
+        return max(mean, self.crowd.fullest(self._part_side_m(SMALLEST_PART))) > MAX_GROUND
+
+    @property
+    def surface_share(self) -> int | None:
+        """Parts of a pixel's side whose cells give one point to the surface; None: all ground points make it."""
+        if self.config.surface_percent is not None:
+            return SURFACE_SHARE
+        return THIN_SHARE if self.thin_ground else None
+
+    def _part_side_m(self, pixels: int) -> float:
+        """Side of the window of a part of a block, metres."""
+        return pixels * float(self.resolution) + 2 * float(self.grid_halo)
+
+    @property
+    def fullest_part(self) -> float:
+        """About how many points a worker holds of the smallest part of a block, in the fullest place."""
+        side = self._part_side_m(SMALLEST_PART)
+        points = max(self.density * side**2, self.crowd.fullest(side))
+        if self.surface_share is None or self.config.erode:
+            return points
+        return min(points, (side * self.surface_share / float(self.resolution)) ** 2)
 
     @property
     def block_points(self) -> int:
@@ -139,7 +168,9 @@ class Plan:
         return {
             "ingest": ingest_bytes(PIECE_POINTS, self.fullest_bucket),
             "filter": max((self._projected_filter(step) for step in self.passes), default=0),
-            "grid": BASE_BYTES + min(self.points, self.block_points) * GROUND_BYTES,
+            "grid": BASE_BYTES
+            + int(min(self.points, max(self.block_points, self.fullest_part))) * GROUND_BYTES,
+            "export": BASE_BYTES + EXPORT_BYTES + min(max(s.points for s in self.sources), EXPORT_POINTS),
         }
 
     def _projected_filter(self, step: PlannedPass) -> int:

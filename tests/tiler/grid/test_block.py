@@ -254,3 +254,16 @@ def test_a_wider_window_that_is_too_full_is_left_to_quarters(make_scene):
     assert max(r["ground_read"] for r in records) < sum(r["pixels"] for r in records) * plain["ground_read"]
     assert sum(r["pixels"] for r in records) == whole.size
     assert tiled.tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize(("cell", "percent"), [("250", None), ("1000/3", None), ("500", 50)])
+def test_a_choice_made_bucket_by_bucket_is_that_of_all(make_scene, monkeypatch, cell, percent):
+    rng = np.random.default_rng(3)
+    xy = rng.integers(0, 60_000, (40_000, 2))
+    scene = make_scene(np.column_stack((xy, rng.integers(0, 5_000, 40_000))).astype(np.int64), bucket=20_000)
+    options = {"thin_cell": cell, "percent": percent, "max_edge": 20_000, "max_points": 30_000}
+    kept, (record,) = scene.grid(METRE, **options)
+    monkeypatch.setattr("tiler.grid.block._by_bucket", lambda store, job: False)
+    every, (whole,) = scene.grid(METRE, **options)
+    assert kept.tobytes() == every.tobytes()
+    assert record["ground_used"] == whole["ground_used"] or percent is None

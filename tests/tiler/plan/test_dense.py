@@ -1,0 +1,63 @@
+"""Places far denser than the rest: the plan sees them, and decides for the whole run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.invariants import clouds
+from tiler.config import RunConfig
+from tiler.errors import ConfigError
+from tiler.plan import Plan, make_plan
+from tiler.plan.memory import BASE_BYTES
+
+SPOT_M2 = 30.0**2
+
+
+def scattered(points: int, side: float, corner: float = 0.0) -> clouds.Cloud:
+    xyz = np.random.default_rng(points).uniform(0, side, (points, 3)) + [corner, corner, 0]
+    return clouds.Cloud(np.round(xyz * [1, 1, 0.01], 3), np.ones(points, np.uint8))
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return clouds.write(tmp_path_factory.mktemp("wide") / "wide.las", scattered(40_000, 500.0))
+
+
+@pytest.fixture(scope="module")
+def spot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return clouds.write(tmp_path_factory.mktemp("spot") / "spot.las", scattered(36_000, SPOT_M2**0.5, 80.0))
+
+
+def planned(*paths: Path, **settings: str) -> Plan:
+    """With parts of blocks that see 52 m."""
+    values = {"max_edge": "9.9", "resolution": "1", "memory": "1GiB", "method": "classic", **settings}
+    return make_plan([str(path) for path in paths], RunConfig.from_mapping(values))
+
+
+def test_one_dense_place_is_enough_to_thin(wide: Path, spot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tiler.plan.model.MAX_GROUND", 10_000)
+    alone, both = planned(wide), planned(wide, spot)
+    assert not alone.thin_ground
+    assert both.thin_ground
+    assert alone.fullest_part < 3 * 52**2
+    assert 10_000 < both.fullest_part <= (4 * 52.0) ** 2
+
+
+def test_a_part_that_cannot_fit_is_refused_with_what_helps(
+    wide: Path, spot: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = planned(wide, spot).projected_memory()
+    monkeypatch.setattr("tiler.plan.model.GROUND_BYTES", 100_000)
+    monkeypatch.setattr("tiler.plan.model.MAX_GROUND", 60_000)
+    with pytest.raises(ConfigError, match=r"grid needs .* MiB a worker, .*MiB or a smaller --max-edge"):
+        planned(wide, spot)
+    fits = planned(wide, spot, memory="4GiB", max_edge="5").projected_memory()
+    assert BASE_BYTES < before["grid"] < fits["grid"] <= 4 << 30
+
+
+def test_what_is_written_is_projected(spot: Path) -> None:
+    export = planned(spot).projected_memory()["export"]
+    assert BASE_BYTES + 36_000 < export < 512 << 20
