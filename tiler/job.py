@@ -32,6 +32,9 @@ PACKED_COMMITS = 256
 PLACED = ("filter", "grid-")
 """Stages whose tasks are tiles of the map in the report."""
 
+LISTED_TILES = 20_000
+"""Of a stage in run.json, which is written anew after each stage; more are counted alone."""
+
 Warm = Callable[[Callable[[], None]], None]
 Commits = dict[str, tuple[str, dict[str, Any]]]
 
@@ -121,7 +124,7 @@ class Job:
             "points": sum(t.points for t in todo),
         }
         self.listener("stage_started", info)
-        if stage.startswith(PLACED):
+        if stage.startswith(PLACED) and len(wanted) <= LISTED_TILES:
             places = {key: self._place(task) for key, task in wanted.items()}
             self.tiles[stage] = {key: _tile_facts(task, places[key], done) for key, task in wanted.items()}
         start, cpu_peak = time.monotonic(), 0

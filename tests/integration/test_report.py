@@ -13,6 +13,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import do
 from tests.tiler.report import results
 from tiler.report.html import write_report
+from tiler.simulate import DemoScene
 
 
 def test_it_says_what_run_json_says(finished_run: Finished) -> None:
@@ -66,3 +67,13 @@ def test_a_report_that_fails_is_told_and_costs_nothing(
     assert (tmp_path / "out" / "dtm.tif").is_file()
     monkeypatch.undo()
     write_report(tmp_path / "out")
+
+
+def test_tiles_without_number_are_counted(
+    demo: DemoScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.job.LISTED_TILES", 1)
+    summary = do(list(demo.paths), tmp_path / "out", tile_size="128").summary
+    assert set(summary["tiles"]) == {"grid-dtm"}
+    assert summary["stages"]["filter0"]["tasks"] > 1
+    assert summary["report"] == "report.html"
