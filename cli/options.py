@@ -109,7 +109,7 @@ inputs_argument = click.argument("inputs", nargs=-1, required=True, metavar="INP
 
 out_option = click.option(
     "-o", "--out", required=True, type=click.Path(), metavar="OUT",
-    help="folder of the results; the same OUT again goes on where it stopped",
+    help="folder of the results, or a URL (s3://...); the same OUT again goes on where it stopped",
 )  # fmt: skip
 
 json_option = click.option(

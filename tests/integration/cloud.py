@@ -67,7 +67,7 @@ class Cluster:
             process.terminate()
         for process in reversed(self._processes):
             try:
-                process.wait(timeout=30)
+                process.wait(timeout=5)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
