@@ -11,7 +11,7 @@ densify
     the TIN of the seeds takes in objects' cells that fit (`ptd.densify`): edges and tops that the openings cut.
 refine
     densified cells that rise from the ground found are taken out again (roofs that were climbed), then all that rises
-    from ground whose trend was taken off (low walls, cars, shrubs on slopes).
+    from ground whose trend was taken off (walls, cars, shrubs on slopes), and what still does among what is left.
 roofs
     ground that is connected, at most 120 m wide, and above nearly all ground that is seen around it is a roof
     (`ptd.plateaus`).
@@ -26,22 +26,28 @@ thin_cell             as `classic`                1 m       the terrain's detail
                                                             lower side
 low_radius, _depth,   as `classic`                5 m, 4 m, image matching: groups of 30 that are half as deep, as its
 low_group                                         5         blunders are; and pits of 3 x 3 cells deeper than 0.5 m
-seed_drop, _rise,     Pingel 2013 (slope, scale)  0.1 m,    noise; ground that rises by 0.06 beside flat ground is kept;
+seed_drop, _rise,     Pingel 2013 (slope, scale)  0.05 m,   noise; ground that rises by 0.06 beside flat ground is kept;
 _slope                                            0.06, 0.2 a fifth of the slope more on slopes
-slope_reach           ours                        7 m       boxes of 15 m see past a house's wall
+slope_reach           ours                        9 m       boxes of 19 m see past a house's wall
 iteration_distance,   as `classic`                1.4 m,    the seeds are dense already: L1 keeps the angle small there
 _angle, terrain_                                  28, 88
 angle, edge_length_                               deg, 5 m
 reduce
 rounds                Chen 2023                   4         more change little and carry doubt farther
-veto_drop, _rise,     ours                        0.5 m,    wider than for seeds: else all that densification adds
-_slope                                            0.1, 0.3  would be taken back
-trend_reach           ours                        20 m      a mean over 41 m follows hills and not what stands on them
-residual_size         ours                        20 m      what is wider has been found before
-residual_drop, _rise, ours                        0.3 m,    less is within the last pass's height
+veto_drop, _rise,     ours                        0.7 m,    wider than for seeds: else all that densification adds
+_slope                                            0.2, 0.2  would be taken back
+residual_slope_reach, ours                        3 m,      without the trend slopes are local; objects are counted
+_around                                           15 m      in 31 m x 31 m
+object_trend, _size   ours                        20, 12 m  a mean over 41 m follows hills and not what stands on them;
+                                                            what is wider has been found before
+object_drop, _rise,   ours                        0.2 m,    less is within the last pass's height
 _slope                                            0.1, 0.2
-residual_lack,        ours                        2, 0.3,   where fewer of the cells around are objects', bumps are
-_share, _around                                   10 m      terrain: the threshold grows by up to 2
+object_lack, _share   ours                        2, 0.3    where fewer of the cells around are objects', bumps are
+                                                            terrain: the threshold grows by up to 2
+bump_trend, _size,    ours                        15, 12 m, once more, among the ground that is left: its mean no longer
+_drop, _rise, _slope,                             0.1 m,    holds what was taken out: lower, and more wary of slopes
+_lack, _share                                     0.1, 0.4,
+                                                  1, 0.1
 roof_size, _cell,     ours                        120 m,    the largest halls but for those of industry; cells of 2 m
 _step, _gap, _view,                               2, 1, 4,  bridge the gaps of sparse clouds, 1 m of step allows roofs
 _fall                                             8, 1.5 m  of 27 degrees
@@ -49,7 +55,8 @@ roof_share, _unseen   ours                        0.9, 0.5  terrain goes on some
                                                             beyond the data nothing is known
 roof_area             ours                        80 m2     what is smaller was opened before
 label_floor           as `classic`                0.3 m     below 1 point/m2; from 2 on 0.05 m and three times the
-                                                            noise, from 0.12 m to this: low plants
+                                                            noise, from 0.12 m (image matching 0.2 m) to this:
+                                                            low plants
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
                                                             points/m2 on
 ====================  ==========================  ========  ============================================================
@@ -230,7 +237,8 @@ def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
     ground = (codes == SEED) | (codes == DENSIFIED)
     if (codes == DENSIFIED).any():
         ground &= ~((codes == DENSIFIED) & low.steep_objects(ground, p.veto_drop, p.shape))
-    stays: Bool = ground & ~low.residual_objects(ground, codes != OUTLIER, p.residuals)
+    ground &= ~low.residual_objects(ground, codes != OUTLIER, p.objects)
+    stays: Bool = ground & ~low.residual_objects(ground, ground, p.bumps)
     return stays
 
 

@@ -28,6 +28,8 @@ SEVERAL_SHARE = 0.001
 """So many points that are one of several returns prove a laser."""
 DIM_GROUP, DIM_DEPTH = 6, 0.5
 """Blunders of image matching come in larger groups than a laser's low points, and nearer to the ground."""
+DIM_FLOOR_M = 0.2
+"""Least floor of the last pass for image matching: errors of neighbours are alike, which patches do not see."""
 DIM_PIT_M = 0.5
 """Depth of pits that image matching leaves in the surface."""
 SPARSE_M2, DENSE_M2 = 1.0, 2.0
@@ -56,7 +58,7 @@ class AutoParameters:
     low_depth_m: float = like(Progressive, "low_depth_m")
     low_group: int = like(Progressive, "low_group")
     seed_drop_m: float = parameter(
-        0.1, "seeds: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
+        0.05, "seeds: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     seed_rise: float = parameter(
         0.06, "seeds: steepest drop per radius that flat ground has", minimum=0.0, maximum=100.0,
@@ -65,7 +67,7 @@ class AutoParameters:
         0.2, "seeds: more of it per slope of the ground", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     slope_reach_m: float = parameter(
-        7.0, "slopes are between means of boxes that reach so far", unit="m", minimum=1.0, maximum=100.0,
+        9.0, "slopes are between means of boxes that reach so far", unit="m", minimum=1.0, maximum=100.0,
     )  # fmt: skip
     rounds: int = parameter(4, "rounds of densification", minimum=1, maximum=1000)
     iteration_distance_m: float = like(Progressive, "iteration_distance_m")
@@ -73,37 +75,61 @@ class AutoParameters:
     terrain_angle_deg: float = like(Progressive, "terrain_angle_deg")
     edge_length_reduce_m: float = like(Progressive, "edge_length_reduce_m")
     veto_drop_m: float = parameter(
-        0.5, "veto of densified cells: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
+        0.7, "veto of densified cells: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     veto_rise: float = parameter(
-        0.1, "veto of densified cells: steepest drop per radius that flat ground has", minimum=0.0, maximum=100.0,
+        0.2, "veto of densified cells: steepest drop per radius that flat ground has", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     veto_slope: float = parameter(
-        0.3, "veto of densified cells: more of it per slope of the ground", minimum=0.0, maximum=100.0,
+        0.2, "veto of densified cells: more of it per slope of the ground", minimum=0.0, maximum=100.0,
     )  # fmt: skip
-    trend_reach_m: float = parameter(
-        20.0, "residuals are from means of ground that reach so far", unit="m", minimum=1.0, maximum=100.0,
-    )  # fmt: skip
-    residual_size_m: float = parameter(
-        20.0, "residuals: the widest object", unit="m", minimum=2.0, maximum=1000.0,
-    )  # fmt: skip
-    residual_drop_m: float = parameter(
-        0.3, "residuals: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
-    )  # fmt: skip
-    residual_rise: float = parameter(
-        0.1, "residuals: steepest drop per radius that flat ground has", minimum=0.0, maximum=100.0,
-    )  # fmt: skip
-    residual_slope: float = parameter(
-        0.2, "residuals: more of it per slope of the ground", minimum=0.0, maximum=100.0,
-    )  # fmt: skip
-    residual_lack: float = parameter(
-        2.0, "residuals: more of the rise where no objects are around", minimum=0.0, maximum=100.0,
-    )  # fmt: skip
-    residual_share: float = parameter(
-        0.3, "residuals: share of objects among the cells around from which on not", minimum=0.01, maximum=1.0,
+    residual_slope_reach_m: float = parameter(
+        3.0, "residuals: slopes are between means of boxes that reach so far", unit="m", minimum=1.0, maximum=100.0,
     )  # fmt: skip
     residual_around_m: float = parameter(
-        10.0, "residuals: how far around is", unit="m", minimum=1.0, maximum=100.0,
+        15.0, "residuals: how far around objects are counted", unit="m", minimum=1.0, maximum=100.0,
+    )  # fmt: skip
+    object_trend_m: float = parameter(
+        20.0, "objects on ground: the mean that is taken off reaches so far", unit="m", minimum=1.0, maximum=100.0,
+    )  # fmt: skip
+    object_size_m: float = parameter(
+        12.0, "objects on ground: the widest", unit="m", minimum=2.0, maximum=1000.0,
+    )  # fmt: skip
+    object_drop_m: float = parameter(
+        0.2, "objects on ground: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    object_rise: float = parameter(
+        0.1, "objects on ground: steepest drop per radius that flat ground has", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    object_slope: float = parameter(
+        0.2, "objects on ground: more of it per slope of the ground", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    object_lack: float = parameter(
+        2.0, "objects on ground: more of the rise where no objects are around", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    object_share: float = parameter(
+        0.3, "objects on ground: share of objects around from which on nothing is lacking", minimum=0.01, maximum=1.0,
+    )  # fmt: skip
+    bump_trend_m: float = parameter(
+        15.0, "bumps of ground: the mean that is taken off reaches so far", unit="m", minimum=1.0, maximum=100.0,
+    )  # fmt: skip
+    bump_size_m: float = parameter(
+        12.0, "bumps of ground: the widest", unit="m", minimum=2.0, maximum=1000.0,
+    )  # fmt: skip
+    bump_drop_m: float = parameter(
+        0.1, "bumps of ground: heights that need no object", unit="m", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    bump_rise: float = parameter(
+        0.1, "bumps of ground: steepest drop per radius that flat ground has", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    bump_slope: float = parameter(
+        0.4, "bumps of ground: more of it per slope of the ground", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    bump_lack: float = parameter(
+        1.0, "bumps of ground: more of the rise where no objects are around", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    bump_share: float = parameter(
+        0.1, "bumps of ground: share of objects around from which on nothing is lacking", minimum=0.01, maximum=1.0,
     )  # fmt: skip
     roof_size_m: float = parameter(
         120.0, "roofs: the widest that is told from terrain by its edges all around", unit="m", minimum=2.0,
@@ -167,13 +193,24 @@ class AutoParameters:
         return Shape(self._cells(self.max_building_size_m / 2), self._cells(self.slope_reach_m))
 
     @property
-    def residuals(self) -> Residuals:
-        """When a cell rises from ground without its trend."""
+    def objects(self) -> Residuals:
+        """When a cell rises from the ground's trend among all cells."""
+        drop = Drop(self.object_drop_m, self.object_rise, self.object_slope)
+        return self._residuals(
+            drop, self.object_trend_m, self.object_size_m, self.object_lack, self.object_share
+        )
+
+    @property
+    def bumps(self) -> Residuals:
+        """When a cell rises from the ground's trend among the cells of ground."""
+        drop = Drop(self.bump_drop_m, self.bump_rise, self.bump_slope)
+        return self._residuals(drop, self.bump_trend_m, self.bump_size_m, self.bump_lack, self.bump_share)
+
+    def _residuals(self, drop: Drop, trend_m: float, size_m: float, lack: float, enough: float) -> Residuals:
         return Residuals(
-            drop=Drop(self.residual_drop_m, self.residual_rise, self.residual_slope),
-            trend=self._cells(self.trend_reach_m), radius=self._cells(self.residual_size_m / 2),
-            slope=self._cells(self.slope_reach_m), around=self._cells(self.residual_around_m),
-            lack=self.residual_lack, enough=self.residual_share,
+            drop=drop, trend=self._cells(trend_m), radius=self._cells(size_m / 2),
+            slope=self._cells(self.residual_slope_reach_m), around=self._cells(self.residual_around_m), lack=lack,
+            enough=enough,
         )  # fmt: skip
 
     @property
@@ -184,7 +221,7 @@ class AutoParameters:
     @property
     def refine_reach(self) -> int:
         """Cells beyond which nothing has a part in what a cell is after the pass `refine`."""
-        return self.shape.reach + self.residuals.reach
+        return self.shape.reach + self.objects.reach + self.bumps.reach
 
     def plateaus(self, scale: Scale) -> Plateaus:
         """When ground lies on a roof."""
@@ -241,7 +278,8 @@ def settings(params: AutoParameters, survey: Mapping[str, Any]) -> Settings:
     dense = min(max((survey["density_m2"] - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
     floor = params.label_floor_m
     if sigma is not None:
-        floor = min(max(DENSE_FLOOR_M, FLOOR_BASE_M + FLOOR_SIGMAS * sigma), floor)
+        least = DIM_FLOOR_M if dim else DENSE_FLOOR_M
+        floor = min(max(least, FLOOR_BASE_M + FLOOR_SIGMAS * sigma), floor)
     return Settings(
         low_depth_m=params.low_depth_m * (DIM_DEPTH if dim else 1.0),
         low_group=params.low_group * (DIM_GROUP if dim else 1),

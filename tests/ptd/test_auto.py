@@ -24,7 +24,8 @@ from .test_objects import lowest
 from .tiling import classify_tiled
 
 SMALL = Auto(
-    max_building_size_m=10.0, slope_reach_m=2.0, trend_reach_m=5.0, residual_size_m=6.0, residual_around_m=4.0,
+    max_building_size_m=10.0, slope_reach_m=2.0, object_trend_m=5.0, object_size_m=6.0,
+    bump_trend_m=5.0, bump_size_m=6.0, residual_around_m=4.0,
     low_radius_m=2.0, rounds=2, roof_size_m=20.0,
 )  # fmt: skip
 """Rules that see less far, for scenes that are small."""
@@ -95,7 +96,7 @@ def test_a_climbed_roof_is_given_back_but_no_seed() -> None:
     codes = np.full(heights.shape, SEED, np.uint8)
     codes[20:30, 20:30] = DENSIFIED
     codes[20:30, 20:22] = SEED
-    never = replace(Auto(), residual_drop_m=100.0)
+    never = replace(Auto(), object_drop_m=100.0, bump_drop_m=100.0)
     stays = refined(lowest(heights), codes.ravel(), never).reshape(heights.shape)
     assert np.array_equal(stays, codes == SEED)
 
@@ -182,11 +183,11 @@ def test_the_decision_reaches_the_result() -> None:
 
 
 def test_reaches_are_those_of_the_rules() -> None:
-    assert Auto().seed_reach == 2 * 18 + 2 * 7 + 2 + 5
-    assert Auto().refine_reach == 2 * 18 + 2 * 7 + 20 + 2 * 10
+    assert Auto().seed_reach == 2 * 18 + 2 * 9 + 2 + 5
+    assert Auto().refine_reach == 2 * 18 + 2 * 9 + 20 + 2 * 6 + 15 + 2 * 6
     assert Auto().roof_reach == 2 * (60 + 4 + 1 + 1)
     assert {step.name: step.reach_m for step in Auto().passes} == {
-        "survey": 24.0, "seeds": 58.0, "densify": None, "refine": 91.0, "roofs": 133.0, "label": None,
+        "survey": 24.0, "seeds": 62.0, "densify": None, "refine": 114.0, "roofs": 133.0, "label": None,
     }  # fmt: skip
 
 
@@ -256,10 +257,10 @@ def test_an_offset_of_the_frame_changes_nothing() -> None:
 
 
 def test_errors_of_the_isprs_samples(shared_data: Path) -> None:
-    """One setting: total 3.25 percent, type I 2.0, type II 7.1."""
+    """One setting: total 3.03 percent, type I 2.1, type II 6.5."""
     errors = []
     for name in ("11", "12", "22", "24", "31", "42", "51", "53"):
         cloud = laspy.read(shared_data / "isprs" / f"samp{name}-utm.laz")
         found = ptd.classify(np.stack([cloud.x, cloud.y, cloud.z], axis=1), "auto").classification == 2
         errors.append((found != (np.asarray(cloud.classification) == 2)).mean())
-    assert np.mean(errors) < 0.034
+    assert np.mean(errors) < 0.031
