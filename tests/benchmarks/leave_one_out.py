@@ -15,7 +15,7 @@ from ptd.methods.auto import Auto
 from tests.benchmarks.scorecard_scenes import Cloud
 from tiler.evaluate import IGNORED, evaluate_labels
 
-MAIN_SETTINGS = ("max_building_size_m", "seed_rise", "residual_rise", "label_floor_m")
+MAIN_SETTINGS = ("max_building_size_m", "seed_rise", "object_rise", "label_floor_m")
 """One of each step: openings, seeds, what is taken out again, the last pass."""
 
 FACTORS = (0.75, 1.0, 1.25)
