@@ -33,7 +33,7 @@ iteration_distance,   as `classic`                1.4 m,    the seeds are dense 
 _angle, terrain_                                  28, 88
 angle, edge_length_                               deg, 5 m
 reduce
-rounds                Chen 2023                   4         more change little and carry doubt farther
+rounds                ours                        4         more change little and carry doubt farther
 veto_drop, _rise,     ours                        0.7 m,    wider than for seeds: else all that densification adds
 _slope                                            0.2, 0.2  would be taken back
 residual_slope_reach, ours                        3 m,      without the trend slopes are local; objects are counted
@@ -82,7 +82,7 @@ from ptd.methods.auto_settings import RING_M, AutoParameters, decided, settings
 from ptd.morphology import Bool, CellRaster
 from ptd.objects import PIT_REACH, Lowest, blocks
 from ptd.outliers import low_outliers
-from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
+from ptd.passes import Int32, Measured, Method, Model, Pass, Points, State, UInt8
 from ptd.plateaus import on_plateaus
 from ptd.seeds import RING, box_with_ring, choose_seeds
 from ptd.tin.mesh import Tin
@@ -109,21 +109,6 @@ class Auto(AutoParameters):
         )
 
 
-class Figures(Model):
-    """What the survey of a core found."""
-
-    def __init__(self, partial: dict[str, Any]) -> None:
-        self.stats, self._partial = {"points": partial["points"]}, partial
-
-    def label(self, points: Points) -> Any:
-        """Not called: the pass only measures."""
-        raise NotImplementedError
-
-    def partial(self) -> dict[str, Any]:
-        """Those of `ptd.roughness.measure`, ``told`` and ``several``: points of known returns, of several."""
-        return self._partial
-
-
 @dataclass(frozen=True)
 class SurveyPass(Pass):
     """Density, noise and returns, and what follows from them."""
@@ -135,7 +120,7 @@ class SurveyPass(Pass):
     gives_labels: bool = False
     reach_m: float | None = roughness.REACH_M
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Figures:
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         """Count."""
         counts = {"told": 0, "several": 0}
         if points.returns is not None:
@@ -143,7 +128,8 @@ class SurveyPass(Pass):
             own = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
             of = points.returns[1, own]
             counts = {"told": int((of > 0).sum()), "several": int((of > 1).sum())}
-        return Figures(roughness.measure(points.xyz, window, core, scale) | counts)
+        found = roughness.measure(points.xyz, window, core, scale) | counts
+        return Measured(found, {"points": found["points"]})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """``survey``: see `ptd.methods.auto_settings.decided`."""
