@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -13,7 +13,7 @@ from ptd.cells import lowest_per_cell
 from ptd.frame import Cells, Scale, Window
 from ptd.methods import METHODS
 from ptd.params import to_json
-from ptd.passes import Int32, Points, RunFacts, UInt8
+from ptd.passes import Int32, Pass, Points, RunFacts, UInt8
 
 COUNTS_PER_METRE = 1000
 LARGEST_EXTENT_M = 60_000.0
@@ -105,24 +105,31 @@ def do_passes(
 ) -> tuple[UInt8, dict[str, Any], dict[str, Any]]:
     """All passes of a method on one window: labels, state, and the statistics of each pass."""
     state: dict[str, Any] = {"run": asdict(RunFacts(columns["rgb"] is not None, sigma))}
-    labels = np.zeros(counts.shape[1], np.uint8)
     stats = {}
-    candidates: Any = slice(None)
+    everything = Points(counts, np.zeros(counts.shape[1], np.uint8), **columns)
+    some = index = None
     if params.candidate_cell_m and not all(step.every_point for step in params.passes):
-        candidates = lowest_per_cell(
-            counts[0], counts[1], counts[2], Cells.of(params.candidate_cell_m, scale)
-        )
-    for step in params.passes:
-        given = Points(counts, labels if "labels" in step.columns else None, **{
-            name: column for name, column in columns.items() if name in step.columns
-        })  # fmt: skip
-        seen = given if step.every_point else given.take(candidates)
-        model = step.fit(seen, window, window, scale, state)
+        index = lowest_per_cell(counts[0], counts[1], counts[2], Cells.of(params.candidate_cell_m, scale))
+        some = everything.take(index)
+    for number, step in enumerate(params.passes, start=1):
+        seen = everything if step.every_point or some is None else some
+        model = step.fit(_given(seen, step), window, window, scale, state)
         if step.gives_labels:
-            labels, _ = model.label(given)
+            later = params.passes[number:]
+            if some is not None and later and not any(other.every_point for other in later):
+                some = replace(some, labels=model.label(_given(some, step))[0])  # nobody asks for the others'
+            else:
+                everything = replace(everything, labels=model.label(_given(everything, step))[0])
+                if some is not None and later:
+                    some = replace(some, labels=everything.known_labels()[index])
         stats[step.name] = model.stats
         state = step.reduce([model.partial()], state)
-    return labels, state, stats
+    return everything.known_labels(), state, stats
+
+
+def _given(points: Points, step: Pass) -> Points:
+    """Points with the columns that a pass names."""
+    return Points(points.xyz, **{name: getattr(points, name) for name in step.columns})
 
 
 def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: type) -> Any:
@@ -139,7 +146,8 @@ def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Sca
     """Local millimetre counts int32 [3, n], and their scale."""
     if len(points) == 0:
         return np.zeros((3, 0), np.int32), Scale()
-    low, high = points.min(axis=0), points.max(axis=0)
+    # Column by column: a reduction over rows of three is several times slower.
+    low, high = (np.array([extreme(column) for column in points.T]) for extreme in (np.min, np.max))
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
         raise ValueError("xyz has values that are not finite; leave those points out")
     if (high[:2] - low[:2]).max() > LARGEST_EXTENT_M:

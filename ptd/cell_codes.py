@@ -7,26 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, Int32, Int64, lowest_per_cell, slot_of
+from ptd.cells import CellIndex, Int32, lowest_per_cell
 from ptd.frame import Cells, Window
-from ptd.kernel import kernel, wide
 from ptd.passes import Model, Points, UInt8
 
 Bool = npt.NDArray[np.bool_]
-
-
-@kernel
-def _slots(
-    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, slots: Int32, keys: Int64,
-    width: int, height: int,
-) -> Int32:  # fmt: skip
-    """Index of each point's cell, -1 where it holds none that is known."""
-    out = np.empty(x.size, np.int32)
-    for i in range(x.size):
-        column = ((wide(x[i]) + ox) * q) // p - col0
-        row = ((wide(y[i]) + oy) * q) // p - row0
-        out[i] = slot_of(slots, keys, width, height, column, row)
-    return out
 
 
 class CellCodes(Model):
@@ -61,10 +46,7 @@ class CellCodes(Model):
         x, y = np.ascontiguousarray(points.xyz[0]), np.ascontiguousarray(points.xyz[1])
         slots = np.full(x.size, -1, np.int32)
         if self._index is not None:
-            i, c = self._index, self._index.cells
-            slots = _slots(
-                x, y, c.p, c.q, c.origin_x, c.origin_y, i.col0, i.row0, i.slots, i.keys, i.width, i.height
-            )
+            slots = self._index.find(x, y)
         marked = self._doubtful[slots]
         if self._certain.closed:
             w = self._certain

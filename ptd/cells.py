@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import Cells
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -148,6 +148,14 @@ class CellIndex:
             self.slots = np.full(n_cells, -1, np.int32)
             self.slots[self.keys] = np.arange(self.keys.size, dtype=np.int32)
 
+    def find(self, x: Int32, y: Int32) -> Int32:
+        """Index into `keys` of the cell of each of other points, -1 where it is not occupied: int32 [n]."""
+        c = self.cells
+        return _find(
+            x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, self.slots, self.keys, self.width,
+            self.height,
+        )  # fmt: skip
+
 
 @kernel
 def slot_of(slots: Int32, keys: Int64, width: int, height: int, column: int, row: int) -> int:
@@ -159,6 +167,19 @@ def slot_of(slots: Int32, keys: Int64, width: int, height: int, column: int, row
         return int(slots[key])
     k = np.searchsorted(keys, key)
     return int(k) if k < keys.size and keys[k] == key else -1
+
+
+@kernel
+def _find(
+    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, slots: Int32, keys: Int64,
+    width: int, height: int,
+) -> Int32:  # fmt: skip
+    out = np.empty(x.size, np.int32)
+    for i in range(x.size):
+        column = ((wide(x[i]) + ox) * q) // p - col0
+        row = ((wide(y[i]) + oy) * q) // p - row0
+        out[i] = slot_of(slots, keys, width, height, column, row)
+    return out
 
 
 def positions(x: Int32, y: Int32) -> Int64:

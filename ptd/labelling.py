@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys
+from ptd.cells import CellIndex, Int32
 from ptd.certify import UInt8
 from ptd.criteria import Limits, across, facet_measures, judge
 from ptd.frame import Cells
@@ -228,29 +228,17 @@ class LowNoise:
     """
 
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
-        self._cells = cells
-        keys = self._keys(x, y)
-        order = np.lexsort((-z.astype(np.int64), keys))
-        keys, heights = keys[order], z[order]
-        first = np.ones(keys.size, np.bool_)
-        first[1:] = keys[1:] != keys[:-1]
-        self._cell_keys, self._heights = keys[first], heights[first]
+        self._index = CellIndex(x, y, cells) if x.size else None
+        if self._index is not None:
+            self._heights = np.maximum.reduceat(z[self._index.order], self._index.starts[:-1])
 
     def holds(self, x: Int32, y: Int32, z: Int32) -> npt.NDArray[np.bool_]:
         """Whether points are low noise: bool [n]."""
-        if self._cell_keys.size == 0:
+        if self._index is None:
             return np.zeros(z.size, np.bool_)
-        found: npt.NDArray[np.bool_] = z <= self._heights.max()
-        deep = np.flatnonzero(found)
-        keys = self._keys(x[deep], y[deep])
-        place = np.minimum(np.searchsorted(self._cell_keys, keys), self._cell_keys.size - 1)
-        found[deep] = (self._cell_keys[place] == keys) & (z[deep] <= self._heights[place])
+        cell = self._index.find(x, y)
+        found: npt.NDArray[np.bool_] = (cell >= 0) & (z <= self._heights[cell])
         return found
-
-    def _keys(self, x: Int32, y: Int32) -> Int64:
-        c = self._cells
-        col0, row0 = c.column(0), c.row(0)
-        return cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, col0, row0, 1 << 32)
 
 
 class Terrain:
