@@ -36,8 +36,8 @@ class Plateaus:
         Also if so many steps lie between them, along one of the eight directions, over empty cells.
     view : int
         As far is looked from each cell, along the eight directions, for what is no part of the surface.
-    fall : float
-        What lies lower by more lies below.
+    fall, slope : float
+        What lies lower by more than the first and the second a cell away lies below: terrain slopes.
     share : float
         Of what is seen around, so much at least lies below.
     unseen : float
@@ -50,6 +50,7 @@ class Plateaus:
     gap: int
     view: int
     fall: float
+    slope: float
     share: float
     unseen: float
     area: int
@@ -98,7 +99,7 @@ def plateaus(heights: Int32, rule: Plateaus) -> Bool:
     rule : Plateaus
     """
     surface, n = _surfaces(heights, rule.step, rule.gap)
-    looks, box = _looks(heights, surface, n, rule.view, rule.fall)
+    looks, box = _looks(heights, surface, n, rule.view, rule.fall, rule.slope)
     seen, all_looks = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, 1:].sum(axis=1)
     wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
     above = (
@@ -149,7 +150,7 @@ def _surfaces(heights: Int32, step: float, gap: int) -> tuple[Int32, int]:
 
 @kernel
 def _looks(
-    heights: Int32, surface: Int32, n: int, view: int, fall: float
+    heights: Int32, surface: Int32, n: int, view: int, fall: float, slope: float
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
     """Of each surface: cells, looks that meet what lies below, other ground, nothing; and rows and columns it spans."""
     rows, columns = heights.shape
@@ -174,8 +175,8 @@ def _looks(
                         met = _AREA
                         break
                     if surface[r, c] >= 0:
-                        below = np.int64(heights[row, column]) - np.int64(heights[r, c]) > fall
-                        met = _FALLS if below else _OTHERS
+                        lower = np.int64(heights[row, column]) - np.int64(heights[r, c])
+                        met = _FALLS if lower > fall + slope * steps else _OTHERS
                         break
                 if met != _AREA:
                     looks[own, met] += 1

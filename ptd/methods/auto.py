@@ -49,9 +49,12 @@ _drop, _rise, _slope,                             0.1 m,    holds what was taken
 _lack, _share                                     0.1, 0.4,
                                                   1, 0.1
 roof_size, _cell,     ours                        120 m,    the largest halls but for those of industry; cells of 2 m
-_step, _gap, _view,                               2, 1, 4,  bridge the gaps of sparse clouds, 1 m of step allows roofs
-_fall                                             8, 1.5 m  of 27 degrees
-roof_share, _unseen   ours                        0.9, 0.5  terrain goes on somewhere; where most looks end in trees or
+_step, _gap                                       2, 1, 8 m bridge the gaps of sparse clouds, 1 m of step allows roofs
+                                                            of 27 degrees; parts of a roof lie among higher ones
+roof_view, _fall,     ours                        24 m,     past what stands around a roof; what is seen far away lies
+_slope                                            1.5 m,    lower on any hill: 0.2 m more for each metre
+                                                  0.2
+roof_share, _unseen   ours                        0.9, 0.6  terrain goes on somewhere; where most looks end in trees or
                                                             beyond the data nothing is known
 roof_area             ours                        80 m2     what is smaller was opened before
 label_floor           as `classic`                0.3 m     below 1 point/m2; from 2 on 0.05 m and three times the

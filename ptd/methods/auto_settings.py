@@ -142,19 +142,22 @@ class AutoParameters:
         1.0, "roofs: neighbours on a roof differ by no more", unit="m", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     roof_gap_m: float = parameter(
-        4.0, "roofs: neighbours are no farther apart", unit="m", minimum=0.1, maximum=100.0,
+        8.0, "roofs: neighbours are no farther apart", unit="m", minimum=0.1, maximum=100.0,
     )  # fmt: skip
     roof_view_m: float = parameter(
-        8.0, "roofs: how far is looked around for other ground", unit="m", minimum=0.1, maximum=100.0,
+        24.0, "roofs: how far is looked around for other ground", unit="m", minimum=0.1, maximum=100.0,
     )  # fmt: skip
     roof_fall_m: float = parameter(
         1.5, "roofs: ground lower by more lies below", unit="m", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    roof_slope: float = parameter(
+        0.2, "roofs: and by more than so much per distance, as terrain slopes", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     roof_share: float = parameter(
         0.9, "roofs: at least so much of the ground seen around lies below", minimum=0.01, maximum=1.0,
     )  # fmt: skip
     roof_unseen: float = parameter(
-        0.5, "roofs: at most this share of the looks around meets no ground", minimum=0.0, maximum=1.0,
+        0.6, "roofs: at most this share of the looks around meets no ground", minimum=0.0, maximum=1.0,
     )  # fmt: skip
     roof_area_m2: float = parameter(
         80.0, "roofs: the smallest; smaller ones are found by openings", unit="m2", minimum=0.0, maximum=1e6,
@@ -231,7 +234,8 @@ class AutoParameters:
 
         return Plateaus(
             step=scale.counts_z(self.roof_step_m), gap=cells(self.roof_gap_m), view=cells(self.roof_view_m),
-            fall=scale.counts_z(self.roof_fall_m), share=self.roof_share, unseen=self.roof_unseen,
+            fall=scale.counts_z(self.roof_fall_m), slope=scale.counts_z(self.roof_slope * self.roof_cell_m),
+            share=self.roof_share, unseen=self.roof_unseen,
             area=max(round(self.roof_area_m2 / self.roof_cell_m**2), 1), widest=cells(self.roof_size_m),
         )  # fmt: skip
 

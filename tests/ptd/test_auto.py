@@ -185,9 +185,9 @@ def test_the_decision_reaches_the_result() -> None:
 def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().seed_reach == 2 * 18 + 2 * 9 + 2 + 5
     assert Auto().refine_reach == 2 * 18 + 2 * 9 + 20 + 2 * 6 + 15 + 2 * 6
-    assert Auto().roof_reach == 2 * (60 + 4 + 1 + 1)
+    assert Auto().roof_reach == 2 * (60 + 12 + 1 + 1)
     assert {step.name: step.reach_m for step in Auto().passes} == {
-        "survey": 24.0, "seeds": 62.0, "densify": None, "refine": 114.0, "roofs": 133.0, "label": None,
+        "survey": 24.0, "seeds": 62.0, "densify": None, "refine": 114.0, "roofs": 149.0, "label": None,
     }  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from ptd.frame import Cells
 from ptd.morphology import EMPTY, CellRaster
 from ptd.plateaus import Plateaus, on_plateaus, plateaus
 
-RULE = Plateaus(step=1000, gap=2, view=4, fall=1500, share=0.9, unseen=0.5, area=20, widest=12)
+RULE = Plateaus(step=1000, gap=2, view=4, fall=1500, slope=0, share=0.9, unseen=0.5, area=20, widest=12)
 WAYS = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if r or c]
 
 
@@ -61,7 +61,7 @@ def test_steps_are_followed_across_gaps() -> None:
 
 @pytest.mark.parametrize(
     "why",
-    ["ramp", "wide", "small", "low", "pit", "terrace", "higher beside", "out of sight", "alone"],
+    ["ramp", "wide", "small", "low", "pit", "terrace", "slope", "higher beside", "out of sight", "alone"],
 )
 def test_terrain_is_kept(why: str) -> None:
     heights, rule = land(), RULE
@@ -80,6 +80,11 @@ def test_terrain_is_kept(why: str) -> None:
         heights[:, 8:18] = 0
         heights[:10] = 5000
         rule = replace(RULE, widest=100)
+    elif why == "slope":
+        # A clearing in a wood on a hill: the ground seen four cells away is lower by 1 m a cell, as on any slope.
+        heights[7:23, 5:21] = EMPTY
+        heights[10:20, 8:18] = 4500
+        rule = replace(RULE, slope=800)
     elif why == "higher beside":
         heights[10:20, 18:28] = 9000
     elif why == "out of sight":
@@ -98,6 +103,10 @@ def by_hand(heights: np.ndarray, rule: Plateaus) -> np.ndarray:
         ahead = ((cell[0] + k * way[0], cell[1] + k * way[1]) for k in range(1, farthest + 1))
         return next((place for place in ahead if place in filled), None)
 
+    def falls_to(cell: tuple[int, int], other: tuple[int, int]) -> bool:
+        steps = max(abs(cell[0] - other[0]), abs(cell[1] - other[1]))
+        return filled[cell] - filled[other] > rule.fall + rule.slope * steps
+
     found, left = np.zeros(heights.shape, bool), set(filled)
     while left:
         surface, waiting = set(), [min(left)]
@@ -110,7 +119,7 @@ def by_hand(heights: np.ndarray, rule: Plateaus) -> np.ndarray:
             ]
         left -= surface
         met = [(cell, first(cell, way, rule.view)) for cell in surface for way in WAYS]
-        falls = sum(n not in surface and filled[cell] - filled[n] > rule.fall for cell, n in met if n)
+        falls = sum(n not in surface and falls_to(cell, n) for cell, n in met if n)
         seen = sum(n not in surface for _, n in met if n)
         unseen = sum(n is None for _, n in met)
         wide = max(np.ptp([r for r, _ in surface]), np.ptp([c for _, c in surface])) + 1
@@ -135,7 +144,7 @@ def blocky(draw: st.DrawFn) -> np.ndarray:
 def test_it_is_the_rule_and_sees_no_farther_than_it_says(
     heights: np.ndarray, gap: int, view: int, widest: int
 ) -> None:
-    rule = replace(RULE, gap=gap, view=view, widest=widest, area=4, share=0.7)
+    rule = replace(RULE, gap=gap, view=view, slope=700, widest=widest, area=4, share=0.7)
     found = plateaus(heights, rule)
     assert np.array_equal(found, by_hand(heights, rule))
     for row, column in ((13, 13), (0, 5), (20, 26)):
