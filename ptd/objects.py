@@ -23,11 +23,10 @@ from ptd.morphology import (
     Bool,
     CellRaster,
     Float64,
-    box_means,
     open_with_disk,
-    slopes,
     steepest_drops,
 )
+from ptd.slopes import box_means, slopes
 
 BLOCK_CELLS = 2048
 """Side of the blocks in which rasters are made, without what lies around them within reach."""
@@ -55,7 +54,7 @@ class Shape:
     radius : int
         Of the largest opening.
     slope : int
-        Of the boxes of `ptd.morphology.slopes`.
+        Of the boxes of `ptd.slopes.slopes`.
     """
 
     radius: int

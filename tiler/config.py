@@ -6,8 +6,6 @@ The command line, ``tiler config --template`` and the documentation are generate
 from __future__ import annotations
 
 import dataclasses
-import math
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
@@ -16,9 +14,9 @@ from typing import Any
 
 from ptd.params import UNIT_SUFFIXES
 from tiler.core.products import NODATA, PRODUCTS
-from tiler.core.units import parse_length
 from tiler.errors import ConfigError
 from tiler.presets import load_preset, preset_names
+from tiler.values import parse_pairs, parse_value, plain_value
 
 
 def setting(
@@ -125,7 +123,7 @@ class RunConfig:
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able settings; `from_mapping` reads them back."""
-        return {f.name: _plain(getattr(self, f.name)) for f in fields(self)}
+        return {f.name: plain_value(getattr(self, f.name)) for f in fields(self)}
 
     @classmethod
     def from_mapping(cls, data: Mapping[str, Any]) -> RunConfig:
@@ -138,7 +136,7 @@ class RunConfig:
             if name not in known:
                 raise ConfigError(f"unknown setting {name!r}; `tiler config --template` lists them")
         given = _over_preset(data)
-        return cls(**{name: _parse(known[name], value) for name, value in given.items()})
+        return cls(**{name: parse_value(known[name], value) for name, value in given.items()})
 
     def updated(self, **changes: Any) -> RunConfig:
         """A copy with these fields (already parsed) replaced."""
@@ -181,153 +179,3 @@ def load_config(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: {error.strerror}; name a readable TOML file") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
-
-
-_BYTES = {"": 1, "b": 1, "k": 1000, "kb": 1000, "kib": 1024, "m": 10**6, "mb": 10**6, "mib": 1 << 20,
-          "g": 10**9, "gb": 10**9, "gib": 1 << 30, "t": 10**12, "tb": 10**12, "tib": 1 << 40}  # fmt: skip
-
-
-def parse_bytes(text: str | int) -> int:
-    """A memory size in bytes: ``1000000``, ``4GB``, ``2GiB``, ``512M``; raises ConfigError."""
-    if isinstance(text, int):
-        return text
-    number = text.strip().rstrip("bBkKmMgGtTiI")
-    unit = text.strip()[len(number) :].lower()
-    try:
-        size = int(float(number) * _BYTES[unit])
-    except (ValueError, KeyError, OverflowError):
-        raise ConfigError(f"{text!r} is no memory size: write 4GB, 512MiB or a number of bytes") from None
-    if size <= 0:
-        raise ConfigError(f"{text!r} is no memory size: it must be above 0")
-    return size
-
-
-def parse_classes(text: str | int | list[int] | tuple[int, ...]) -> tuple[int, ...]:
-    """ASPRS classes: ``7,18``; ``none`` or an empty text is no class; raises ConfigError."""
-    if text == "none":
-        return ()
-    parts = [p for p in text.split(",") if p.strip()] if isinstance(text, str) else text
-    try:
-        classes = tuple(sorted({int(p) for p in ([parts] if isinstance(parts, int) else parts)}))
-    except ValueError:
-        raise ConfigError(f"{text!r} are no classes: write numbers with commas, like 7,18") from None
-    if any(not 0 <= c <= 255 for c in classes):
-        raise ConfigError(f"{text!r}: classes are 0 to 255")
-    return classes
-
-
-def parse_names(
-    name: str, text: str | list[str] | tuple[str, ...], choices: tuple[str, ...]
-) -> tuple[str, ...]:
-    """Some of ``choices``, in their order: ``dtm,slope``; raises ConfigError."""
-    parts = text.split(",") if isinstance(text, str) else list(text)
-    found = [str(p).strip() for p in parts if str(p).strip()]
-    for item in found:
-        if item not in choices:
-            raise ConfigError(f"{name} {item!r}: choose from {', '.join(choices)}")
-    if not found:
-        raise ConfigError(f"{name}: names at least one of {', '.join(choices)}")
-    return tuple(c for c in choices if c in found)
-
-
-def parse_surface(value: Any) -> str:
-    """``all``, ``median`` or ``p0`` to ``p100``; raises ConfigError."""
-    if value in ("all", "median"):
-        return str(value)
-    if isinstance(value, str) and value[:1] == "p" and value[1:].isdecimal() and int(value[1:]) <= 100:
-        return value
-    raise ConfigError(f"surface {value!r}: write all, median, or a percentile of the heights like p10")
-
-
-LOWEST_LAND, HIGHEST_LAND = -2000.0, 100_000.0
-"""Between them a value for nodata could be a height, in metres or feet."""
-
-
-def parse_nodata(value: Any) -> float:
-    """A value that float32 holds exactly and that no height takes; raises ConfigError."""
-    try:
-        number = float(value)
-        exact = struct.unpack("<f", struct.pack("<f", number))[0] == number
-    except (TypeError, ValueError):
-        raise ConfigError(f"nodata {value!r}: must be a number, like -9999 or -999999") from None
-    except OverflowError:
-        exact = False
-    if not exact or not math.isfinite(number):
-        raise ConfigError(f"nodata {value}: a raster of float32 cannot hold it exactly; use -9999 or -999999")
-    if LOWEST_LAND < number < HIGHEST_LAND:
-        raise ConfigError(f"nodata {value}: could be a height; use -9999 or -999999")
-    return number
-
-
-def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
-    """``name=value`` settings of a method, from strings or a mapping; raises ConfigError."""
-    if isinstance(value, Mapping):
-        return tuple((str(k), str(v)) for k, v in value.items())
-    pairs = []
-    for item in value:
-        name, sign, text = item.partition("=") if isinstance(item, str) else (item[0], "=", str(item[1]))
-        if not sign or not name:
-            raise ConfigError(f"--set {item}: write name=value; `tiler methods` lists the names")
-        pairs.append((name.strip(), text.strip()))
-    return tuple(pairs)
-
-
-def _positive_length(name: str, value: Any) -> Fraction:
-    length = parse_length(value)
-    if length < 0 or (length == 0 and name not in ("halo", "erode")):
-        raise ConfigError(f"{name} {value}: must be above 0")
-    return length
-
-
-def _bounds(value: Any) -> tuple[float, float, float, float]:
-    try:
-        x0, y0, x1, y1 = (float(v) for v in value)
-    except (TypeError, ValueError):
-        raise ConfigError(f"bounds {value!r}: write four numbers X0 Y0 X1 Y1 in units of the CRS") from None
-    if not (x0 < x1 and y0 < y1):
-        raise ConfigError(f"bounds {value!r}: X0 must be below X1 and Y0 below Y1")
-    return x0, y0, x1, y1
-
-
-def _parse(spec: dataclasses.Field[Any], value: Any) -> Any:
-    """One plain value as its field wants it."""
-    kind = spec.metadata["kind"]
-    if value is None:
-        if spec.default is not None:
-            raise ConfigError(f"{spec.name}: needs a value")
-        return None
-    if kind == "length":
-        return _positive_length(spec.name, value)
-    if kind == "bytes":
-        return parse_bytes(value)
-    if kind == "classes":
-        return parse_classes(value)
-    if kind == "nodata":
-        return parse_nodata(value)
-    if kind == "surface":
-        return parse_surface(value)
-    if kind == "names":
-        if not isinstance(value, str | list | tuple):
-            raise ConfigError(f"{spec.name} {value!r}: must be names with commas")
-        return parse_names(spec.name, value, spec.metadata["choices"])
-    if kind == "pairs":
-        return parse_pairs(value)
-    if kind == "bounds":
-        return _bounds(value)
-    if kind == "int" and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
-        raise ConfigError(f"{spec.name} {value!r}: must be a whole number above 0")
-    if kind == "flag" and not isinstance(value, bool):
-        raise ConfigError(f"{spec.name} {value!r}: must be true or false")
-    if kind == "choice" and value not in spec.metadata["choices"]:
-        raise ConfigError(f"{spec.name} {value!r}: choose one of {', '.join(spec.metadata['choices'])}")
-    if kind in ("text", "choice", "preset") and not isinstance(value, str):
-        raise ConfigError(f"{spec.name} {value!r}: must be text")
-    return value
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Fraction):
-        return str(value)
-    if isinstance(value, tuple):
-        return [_plain(v) for v in value]
-    return value

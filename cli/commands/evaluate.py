@@ -13,10 +13,10 @@ from cli.options import config_options, json_option, read_config
 from cli.output import print_json, print_table
 from cli.session import TilerCommand, current_session
 from cli.summary import dtm_lines, percent_text, score_lines
-from tiler.config import parse_classes
 from tiler.core.units import parse_length
 from tiler.errors import ConfigError
 from tiler.observe.events import Listener
+from tiler.values import parse_classes
 
 SETTINGS = ("method", "parameters", "sigma", "units", "tile_size", "halo", "memory", "workers")
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from ptd.kernel import kernel
-from ptd.tin.insertion import link_vertex, lower_vertex, start_triangulation
+from ptd.tin.cavity import link_vertex
+from ptd.tin.insertion import lower_vertex, start_triangulation
 from ptd.tin.layout import N_VERTICES, Int32Array
 from ptd.tin.location import coincident_vertex, walk
 from ptd.tin.order import curve_order, round_order

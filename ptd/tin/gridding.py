@@ -11,7 +11,7 @@ from ptd.tin import natural, raster
 from ptd.tin.circles import Rule, Sides
 from ptd.tin.layout import Int32Array
 from ptd.tin.mesh import MAX_EXTENT, Tin
-from ptd.tin.raster import Lattice, UInt8Array
+from ptd.tin.pixels import Lattice, UInt8Array
 
 __all__ = ["EVERYWHERE", "Pixels", "Raster", "Window", "pixel_owners", "rasterise"]
 

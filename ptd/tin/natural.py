@@ -17,8 +17,9 @@ from ptd.kernel import kernel, wide
 from ptd.tin.circles import Sides, circle_inside, facet_certified, unbounded
 from ptd.tin.interpolation import Float64Array, canonical_facet, facet_plane, height_on, plane_height
 from ptd.tin.layout import HEADER, N_TRIANGLES, Int32Array, is_ghost, next_edge, previous_edge
+from ptd.tin.pixels import Lattice, UInt8Array
 from ptd.tin.predicates import lexicographic_less
-from ptd.tin.raster import NO_OWNER, Lattice, UInt8Array
+from ptd.tin.raster import NO_OWNER
 
 __all__ = ["natural_heights"]
 

@@ -15,82 +15,23 @@ distance.)
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ptd.kernel import kernel, wide
 from ptd.tin.circles import Rule, Sides, facet_certified, facet_passes
 from ptd.tin.interpolation import Float64Array, Plane, facet_plane, height_on
 from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, next_edge
+from ptd.tin.pixels import OWNED, Lattice, UInt8Array, mark_near_sides, settle_marks
 from ptd.tin.predicates import lexicographic_less
 
-__all__ = ["NO_OWNER", "Lattice", "UInt8Array", "scan"]
+__all__ = ["NO_OWNER", "scan"]
 
-UInt8Array = npt.NDArray[np.uint8]
 
 NO_OWNER = -1  # of a pixel; below it, -2 - v stands for vertex v
 
-_NEAR, _FAR, _OWNED = 1, 2, 4  # of a mark while the facets are scanned
 
 _WIDE = 6  # columns from which on it pays to cut each row to the triangle
-
-
-class Lattice(NamedTuple):
-    """Pixel centres: int64, in local units of 1 / `scale` count.
-
-    Attributes
-    ----------
-    x0, y0
-        Centre of pixel (0, 0).
-    step
-        Distance of the centres; columns go to the east, rows to the south.
-    scale
-        Units in a count, less than 2**10.
-    """
-
-    x0: int
-    y0: int
-    step: int
-    scale: int
-
-
-@kernel
-def _known_within(lattice: Lattice, sides: Sides, column: int, row: int, reach: float) -> bool:
-    """Whether the window holds everything within `reach` counts of a pixel's centre, in x and in y."""
-    x = float(lattice.x0 + column * lattice.step) / lattice.scale
-    y = float(lattice.y0 - row * lattice.step) / lattice.scale
-    across = x - reach >= sides.west and x + reach <= sides.east
-    return across and y - reach >= sides.south and y + reach <= sides.north
-
-
-@kernel
-def _mark_near_sides(marks: UInt8Array, lattice: Lattice, rule: Rule, sides: Sides) -> None:
-    """Say of each pixel how much of its surroundings is unknown: `_NEAR`, `_FAR`, both or nothing."""
-    slack = 1.0 + 2.0**-20
-    far = 2.0 * rule.max_radius * slack + 2.0
-    near = min(far, math.sqrt(float(rule.max_edge2)) * slack + 2.0)
-    for row in range(marks.shape[0]):
-        for column in range(marks.shape[1]):
-            mark = 0 if _known_within(lattice, sides, column, row, near) else _NEAR
-            marks[row, column] = mark | (0 if _known_within(lattice, sides, column, row, far) else _FAR)
-
-
-@kernel
-def _settle_marks(marks: UInt8Array) -> None:
-    """Turn what is known of each pixel into its mark, 0 or 1.
-
-    A pixel whose facet passes: that facet's circle, which reaches at most twice `max_radius` from the pixel, may hold
-    unknown data. A pixel without one: unknown data could give it a facet. But the corners of that lie within its
-    longest edge of the pixel, and were they all known, it would be a triangle of the window as well: empty of all data,
-    its circle is empty of the window's. So a smaller reach suffices.
-    """
-    for row in range(marks.shape[0]):
-        for column in range(marks.shape[1]):
-            mark = marks[row, column]
-            asked = _FAR if mark & _OWNED else _NEAR
-            marks[row, column] = 1 if mark & asked else 0
 
 
 @kernel
@@ -148,7 +89,7 @@ def _own_vertices(
         if final:
             marks[row, column] = 0
         elif owned:
-            marks[row, column] |= _OWNED
+            marks[row, column] |= OWNED
 
 
 @kernel
@@ -265,7 +206,7 @@ def _own_facet(
                 if final:
                     marks[row, column] = 0
                 elif owned:
-                    marks[row, column] |= _OWNED
+                    marks[row, column] |= OWNED
             ea += da
             eb += db
             ec += dc
@@ -306,9 +247,9 @@ def scan(
     rows, columns = marks.shape
     owners[:, :] = NO_OWNER
     heights[:, :] = np.nan
-    _mark_near_sides(marks, lattice, rule, sides)
+    mark_near_sides(marks, lattice, rule, sides)
     if counters[N_TRIANGLES] == 0:
-        _settle_marks(marks)
+        settle_marks(marks)
         return
     x0, y0, step, scale = lattice
     inverse = 1.0 / float(step)
@@ -333,4 +274,4 @@ def scan(
         box = (top, bottom, left, right)
         _own_facet(vertices, triangles, t, owners, heights, marks, box, lattice, rule, sides)
     _own_vertices(vertices, triangles, counters, owners, heights, marks, lattice, rule, sides)
-    _settle_marks(marks)
+    settle_marks(marks)

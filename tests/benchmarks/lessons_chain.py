@@ -30,9 +30,10 @@ from ptd.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.frame import Cells, Scale, Window
 from ptd.kernel import kernel, wide
 from ptd.labelling import GROUND, UNCLASSIFIED, Locator
-from ptd.morphology import Bool, CellRaster, slopes, steepest_drops
+from ptd.morphology import Bool, CellRaster, steepest_drops
 from ptd.outliers import low_outliers
 from ptd.seeds import box_with_ring, choose_seeds
+from ptd.slopes import slopes
 from ptd.tin.interpolation import facet_plane, height_on
 from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate

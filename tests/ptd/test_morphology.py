@@ -13,7 +13,6 @@ from ptd.morphology import (
     CellRaster,
     disk_minimum,
     open_with_disk,
-    slopes,
     steepest_drops,
 )
 
@@ -113,9 +112,6 @@ def test_neither_empty_rows_nor_data_beyond_reach_change_anything() -> None:
     inner = np.s_[reach:-reach, reach:-reach]
     np.testing.assert_array_equal(lowered[inner], opened[part][inner])
     np.testing.assert_array_equal(ratio[inner], steepest[part][inner])
-    far, near, inner = slopes(whole, 6), slopes(whole[part], 6), np.s_[12:-12, 12:-12]
-    np.testing.assert_array_equal(near[inner], far[part][inner])
-    np.testing.assert_array_equal(slopes(np.pad(whole, 7, constant_values=EMPTY), 6)[7:-7, 7:-7], far)
 
 
 def test_steepest_drop_is_the_threshold_that_some_opening_exceeds() -> None:
@@ -132,16 +128,6 @@ def test_steepest_drop_is_the_threshold_that_some_opening_exceeds() -> None:
         filled = heights != EMPTY
         np.testing.assert_array_equal((steepest > slope)[filled], dropped[filled])
         np.testing.assert_array_equal(last, before)
-
-
-def test_slope_of_a_plane() -> None:
-    row, column = np.mgrid[:60, :70]
-    heights = (300 * row - 400 * column).astype(np.int32)
-    heights[:, 30:32] = EMPTY
-    found = slopes(heights, 3)
-    np.testing.assert_allclose(found[6:-6, 6:20], 500.0)
-    assert abs(found[heights != EMPTY] - 500.0).max() < 300.0
-    assert (slopes(np.full((4, 5), EMPTY, np.int32), 3) == 0.0).all()
 
 
 def points(n: int = 2000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,8 +8,9 @@ from __future__ import annotations
 from tiler.store.index import BucketInfo
 from tiler.store.lock import LEASE_SECONDS, Lease
 from tiler.store.meta import StoreMeta
+from tiler.store.opening import create_store, open_store, remove_store, store_exists
 from tiler.store.storage import Usage
-from tiler.store.store import TileStore, create_store, open_store, remove_store, store_exists
+from tiler.store.store import TileStore
 
 __all__ = [
     "LEASE_SECONDS",

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import zarr
 
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
-from tiler.errors import ConfigError, StoreError
+from tiler.errors import StoreError
 from tiler.store import arrays, commits, index, layout, lock, points, rasters, spool
 from tiler.store.index import Bucket, BucketIndex, BucketInfo
 from tiler.store.meta import StoreMeta
-from tiler.store.storage import Storage, Usage, failed_write
+from tiler.store.storage import Storage, Usage
 
 
 class TileStore:
@@ -291,89 +289,6 @@ class TileStore:
     def usage(self) -> Usage:
         """Objects and bytes of the store (lists all of it)."""
         return self._storage.usage()
-
-
-def create_store(url: str, meta: StoreMeta) -> TileStore:
-    """A new store, or the one that is there if it was made with the same `StoreMeta`.
-
-    Raises
-    ------
-    ConfigError
-        A store of another `StoreMeta` is there.
-    StoreError
-        Something else is there.
-    """
-    storage = Storage(url)
-    if storage.get("zarr.json") is not None:
-        store = open_store(url)
-        if store.meta != meta:
-            raise ConfigError(
-                f"{url}: holds a store of other settings or inputs; use --overwrite or another --store"
-            )
-        return store
-    if storage.names(""):
-        raise StoreError(f"{url}: holds something else than a tile store; give an empty or new place")
-    attributes = {layout.ROOT_ATTRIBUTE: {"schema": layout.SCHEMA_VERSION, **meta.to_json()}}
-    try:
-        zarr.create_group(storage.zarr_store, attributes=attributes, zarr_format=3)
-    except OSError as error:
-        raise failed_write(url, "zarr.json", error) from error
-    return TileStore(storage, meta)
-
-
-def open_store(url: str) -> TileStore:
-    """The store at ``url``; cheap, so that every task can call it.
-
-    Raises
-    ------
-    StoreError
-        There is none, or it is not one that this version wrote.
-    """
-    storage = Storage(url)
-    data = storage.get("zarr.json")
-    if data is None:
-        raise StoreError(f"{url}: no tile store here; `tiler ingest` or `tiler run` makes one")
-    try:
-        root = json.loads(data)
-        description = root["attributes"][layout.ROOT_ATTRIBUTE]
-        schema = description["schema"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise StoreError(f"{url}: not a tile store of tiler; give another path") from error
-    if schema != layout.SCHEMA_VERSION:
-        raise StoreError(
-            f"{url}: store of schema {schema}, this version reads {layout.SCHEMA_VERSION}; run again with --overwrite"
-        )
-    try:
-        return TileStore(storage, StoreMeta.from_json(description))
-    except StoreError as error:
-        raise StoreError(f"{url}: {error}") from error
-
-
-def store_exists(url: str) -> bool:
-    """Whether something that claims to be a zarr store lies at ``url``."""
-    return Storage(url).get("zarr.json") is not None
-
-
-def remove_store(url: str) -> None:
-    """Delete the store at ``url`` if there is one.
-
-    Raises
-    ------
-    StoreError
-        Something else is there; nothing is deleted.
-    LockedError
-        A run of another process holds the store.
-    """
-    storage = Storage(url)
-    data = storage.get("zarr.json")
-    if data is None:
-        if storage.names(""):
-            raise StoreError(f"{url}: holds something else than a tile store; remove it yourself")
-        return
-    if layout.ROOT_ATTRIBUTE.encode() not in data:
-        raise StoreError(f"{url}: not a tile store of tiler; remove it yourself")
-    lock.refuse_if_held(storage)
-    storage.delete_everything()
 
 
 def _count(bucket: Bucket, candidates_only: bool) -> int:

@@ -1,0 +1,170 @@
+"""The cavity of a new vertex in the exact Delaunay TIN (Bowyer, 1981; Watson, 1981), found and filled.
+
+The triangles in conflict with a new point form a disk without inner vertices, so the graph of their
+adjacencies is a tree. It is therefore enough to follow the contour of the disk: no triangle needs a mark,
+and the rim comes out in counter-clockwise order, ready to be linked to the new vertex.
+"""
+
+import numpy as np
+
+from ptd.kernel import kernel
+from ptd.tin.layout import HEADER, N_TRIANGLES, Int32Array, next_edge, previous_edge
+from ptd.tin.predicates import ghost_conflict, in_circle
+
+__all__ = ["link_vertex"]
+
+
+@kernel
+def _conflict(a: int, ax: int, ay: int, b: int, bx: int, by: int, d: int, dx: int, dy: int) -> bool:
+    """`in_circle` for the triangle (a, d, b), one of whose vertices may be the ghost."""
+    if (a | b | d) >= 0:
+        return in_circle(ax, ay, dx, dy, bx, by)
+    if d < 0:
+        return ghost_conflict(bx, by, ax, ay)
+    if a < 0:
+        return ghost_conflict(dx, dy, bx, by)
+    return ghost_conflict(ax, ay, dx, dy)
+
+
+@kernel
+def _collect(
+    vertices: Int32Array, triangles: Int32Array, scratch: Int32Array, x: int, y: int, first: int
+) -> int:
+    """Write the triangles in conflict with (x, y) and their rim to `scratch`; nothing else is changed.
+
+    With c = (scratch.size - HEADER) // 4, `scratch` receives from HEADER on the triangles, from HEADER + 2
+    c on a pair for each edge of the rim, counter-clockwise: the half-edge outside and the vertex where it
+    starts. The quarter in between is the stack of edges still to look across.
+
+    Returns
+    -------
+    int
+        Number of triangles in conflict, or -1 if `scratch` is too small.
+    """
+    room = (scratch.size - HEADER) >> 2
+    bottom = HEADER + room
+    top = bottom + 2
+    rim = HEADER + 2 * room
+    n_conflicts = 1
+    row = 8 * first
+    scratch[HEADER] = first
+    scratch[bottom] = row + 2
+    scratch[bottom + 1] = row + 1
+    edge = row
+    a = triangles[row + 5]
+    at = 4 * max(a, 0)
+    ax, ay = vertices[at] - x, vertices[at + 1] - y
+    while True:
+        b = triangles[previous_edge(edge) + 4]
+        bt = 4 * max(b, 0)
+        bx, by = vertices[bt] - x, vertices[bt + 1] - y
+        end, ex, ey = b, bx, by
+        while True:
+            outer = triangles[edge]
+            d = triangles[outer + 4]
+            dt = 4 * max(d, 0)
+            dx, dy = vertices[dt] - x, vertices[dt + 1] - y
+            if not _conflict(a, ax, ay, end, ex, ey, d, dx, dy):
+                break
+            if n_conflicts + 4 > room:
+                return -1
+            scratch[HEADER + n_conflicts] = outer >> 3
+            n_conflicts += 1
+            scratch[top] = previous_edge(outer)
+            top += 1
+            edge = next_edge(outer)
+            end, ex, ey = d, dx, dy
+        scratch[rim] = outer
+        scratch[rim + 1] = a
+        rim += 2
+        if top == bottom:
+            return n_conflicts
+        a, ax, ay = end, ex, ey
+        top -= 1
+        edge = scratch[top]
+
+
+@kernel
+def _fill(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    scratch: Int32Array,
+    n_conflicts: int,
+    vertex: int,
+    stamp: int,
+) -> None:
+    """Replace the triangles that `_collect` found by the fan from `vertex` to the rim."""
+    room = (scratch.size - HEADER) >> 2
+    rim = HEADER + 2 * room
+    n_triangles = counters[N_TRIANGLES]
+    n = n_conflicts + 2
+    scratch[HEADER + n - 2] = n_triangles
+    scratch[HEADER + n - 1] = n_triangles + 1
+    scratch[HEADER + n] = scratch[HEADER]
+    scratch[rim + 2 * n + 1] = scratch[rim + 1]
+    counters[N_TRIANGLES] = n_triangles + 2
+    before = 8 * scratch[HEADER + n - 1]
+    row = 8 * scratch[HEADER]
+    a = scratch[rim + 1]
+    vertices[4 * vertex + 3] = row >> 3
+    for i in range(n):
+        after = 8 * scratch[HEADER + i + 1]
+        outer = scratch[rim + 2 * i]
+        b = scratch[rim + 2 * i + 3]
+        triangles[row] = outer
+        triangles[row + 1] = after + 2
+        triangles[row + 2] = before + 1
+        triangles[row + 3] = stamp
+        triangles[row + 4] = vertex
+        triangles[row + 5] = a
+        triangles[row + 6] = b
+        triangles[row + 7] = 0
+        triangles[outer] = row
+        if a >= 0:
+            vertices[4 * a + 3] = row >> 3
+        before = row
+        row = after
+        a = b
+
+
+@kernel
+def _link_large(
+    vertices: Int32Array, triangles: Int32Array, counters: Int32Array, vertex: int, first: int, stamp: int
+) -> None:
+    """`link_vertex` for a cavity that does not fit the scratch of `counters`."""
+    size = counters.size
+    n_conflicts = -1
+    scratch = np.empty(size, np.int32)
+    while n_conflicts < 0:
+        size *= 4
+        scratch = np.empty(size, np.int32)
+        n_conflicts = _collect(
+            vertices, triangles, scratch, vertices[4 * vertex], vertices[4 * vertex + 1], first
+        )
+    _fill(vertices, triangles, counters, scratch, n_conflicts, vertex, stamp)
+
+
+@kernel
+def link_vertex(
+    vertices: Int32Array, triangles: Int32Array, counters: Int32Array, vertex: int, first: int, stamp: int
+) -> None:
+    """Link a vertex whose coordinates are stored and that no triangle knows yet.
+
+    Parameters
+    ----------
+    vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
+    vertex : int
+        Its number. No other vertex may lie at its position.
+    first : int
+        A triangle that contains it, as `ptd.tin.location.walk` gives it.
+    stamp : int
+        Written to each triangle that is created or changed.
+    """
+    x = vertices[4 * vertex]
+    y = vertices[4 * vertex + 1]
+    n_conflicts = _collect(vertices, triangles, counters, x, y, first)
+    if n_conflicts < 0:
+        _link_large(vertices, triangles, counters, vertex, first, stamp)
+    else:
+        _fill(vertices, triangles, counters, counters, n_conflicts, vertex, stamp)

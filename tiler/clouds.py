@@ -1,0 +1,158 @@
+"""The stage ingest of a run: sources are numbered, decoded into pieces, and their points put into buckets."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from tiler.errors import InputError, ProcessingError
+from tiler.job import Commits, Job
+from tiler.places import open_cloud
+from tiler.schedule import Task
+from tiler.store import BucketInfo
+from tiler.tasks import Assembled, Source, assemble_tasks, fragments_of, spool_tasks, strays_of
+
+HASH_PIECE = 1 << 22
+
+
+def numbered(job: Job) -> list[Source]:
+    """Sources with a number that stays theirs in this store, and the digest of their bytes."""
+    known: dict[str, dict[str, Any]] = job.store.get_state("sources") or {}
+    sources = []
+    for info in job.plan.sources:
+        path = str(info.path.resolve())
+        entry = known.get(path, {"number": len(known)})
+        stamp = [info.size, info.mtime_ns, info.digest]
+        if entry.get("stamp") != stamp or job.plan.config.verify:
+            entry = {**entry, "stamp": stamp, "content": _content_digest(info.path)}
+        known[path] = entry
+        if info.points:
+            sources.append(Source(info, entry["number"], entry["content"]))
+    job.store.put_state("sources", known)
+    return sources
+
+
+def _content_digest(path: Path) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    try:
+        with open_cloud(path) as stream:
+            while part := stream.read(HASH_PIECE):
+                digest.update(part)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror or error}); see to the disk and its rights"
+        ) from error
+    return digest.hexdigest()
+
+
+def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
+    """Decode; a source with a piece that failed is left out whole."""
+    spooled = job.perform("spool", spool_tasks(job.plan, sources))
+    bad = {f["key"][:7]: f["error"] for f in job.failed if f["stage"] == "spool"}
+    job.failed = [f for f in job.failed if f["stage"] != "spool"]
+    good = [s for s in sources if f"s{s.number:06d}" not in bad]
+    for source in sources:
+        error = bad.get(f"s{source.number:06d}")
+        if error is not None:
+            job.quarantined.append({"path": str(source.info.path), "error": error})
+            job.listener("warning", {"text": f"{source.info.path}: left out: {error}"})
+    spooled = {k: c for k, c in spooled.items() if k[:7] not in bad}
+    if not good:
+        raise InputError(f"no input could be read; the first: {job.quarantined[0]['error']}")
+    records = [record for _, record in spooled.values()]
+    dropped: Counter[str] = Counter()
+    for record in records:
+        dropped.update(record["dropped"])
+    read, stored = sum(r["read"] for r in records), sum(r["stored"] for r in records)
+    rounding = max(r["largest_rounding"] for r in records)
+    job.facts["counts"] = {
+        "read": read,
+        "stored": stored,
+        "dropped": dict(dropped),
+        "largest_rounding": rounding,
+    }
+    job.facts["inputs"] = [_input_facts(s, spooled) for s in sources]
+    if rounding > 0:
+        job.note(f"coordinates were rounded to counts for filtering, by {rounding:.3g} CRS units at most")
+    for reason, count in dropped.items():
+        job.note(f"{count:,} points dropped: {reason}")
+    if stored == 0:
+        raise InputError(
+            f"all {read:,} points were dropped ({', '.join(dropped)}): nothing to make a terrain of"
+        )
+    return spooled, good
+
+
+def _input_facts(source: Source, spooled: Commits) -> dict[str, Any]:
+    prefix = f"s{source.number:06d}-"
+    return {
+        **source.info.to_json(), "content": source.content,
+        "stored": sum(r["stored"] for key, (_, r) in spooled.items() if key.startswith(prefix)),
+    }  # fmt: skip
+
+
+def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
+    """Points into buckets; tell of duplicates and of what takes no part."""
+    fragments = fragments_of(spooled)
+    tasks = list(assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled)))
+    done, stale = job.sorted_out("assemble", tasks)
+    _forget_labels(job, stale)
+    job.take_back("assemble", stale)
+    job.store.allocate(
+        {cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()}
+    )
+    _bring_back(job, sources, [task for task in tasks if task.key not in done])
+    commits = job.perform("assemble", tasks)
+    assembled = Assembled.of(commits)
+    if not commits:
+        raise ProcessingError(f"no bucket could be written; the first: {job.failed[0]['error']}")
+    job.store.publish_index({c: BucketInfo(r["n"], r["n_candidates"]) for c, r in assembled.records.items()})
+    within = sum(r["duplicates"]["within"] for r in assembled.records.values())
+    between = sum(r["duplicates"]["between"] for r in assembled.records.values())
+    taking = sum(r["n_participating"] for r in assembled.records.values())
+    job.facts["counts"] |= {
+        "duplicates_within_files": within, "duplicates_between_files": between, "participating": taking,
+        "kept_out": job.facts["counts"]["stored"] - taking, "buckets": len(assembled.records),
+    }  # fmt: skip
+    _tell_of_strays(job, sources, assembled)
+    if within or between:
+        job.note(f"duplicates take part once: {between:,} points of other files, {within:,} within files")
+    return assembled
+
+
+def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
+    """Decode again the pieces that buckets need and that `tiler clean` removed."""
+    needed = {piece for task in todo for bucket in task.arguments["buckets"] for piece, *_ in bucket[2]}
+    gone = needed - job.store.pieces() if needed else set()
+    if gone:
+        job.note(f"{len(gone)} pieces were removed from the store since they were decoded; they are again")
+        job.take_back("spool", gone)
+        job.perform("spool", spool_tasks(job.plan, sources))
+
+
+def _tell_of_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:
+    """List the points that belong to nothing."""
+    paths = {source.number: str(source.info.path) for source in sources}
+    found: list[dict[str, Any]] = []
+    for record in assembled.records.values():
+        for number, row, x, y, z in record["strays"]:
+            found.append({"path": paths[number], "point": row, "x": x, "y": y, "z": z})
+    job.facts["counts"]["strays"] = len(found)
+    job.facts["strays"] = found
+    if found:
+        job.note(
+            f"{len(found)} points far from all others of their file, or outside of its bounds, are not filtered"
+        )
+
+
+def _forget_labels(job: Job, stale: Commits) -> None:
+    """Take back the tiles whose buckets are written anew: a bucket that moves to other rows loses its labels."""
+    cells = {tuple(bucket["cell"]) for _, record in stale.values() for bucket in record["buckets"]}
+    for number in range(job.store.get_state("passes") or 0):
+        stage = f"filter{number}"
+        tiles = job.store.committed(stage) if cells else {}
+        job.take_back(
+            stage, [k for k, (_, r) in tiles.items() if not cells.isdisjoint(map(tuple, r["cells"]))]
+        )

@@ -1,0 +1,90 @@
+"""The stage filter of a run: the passes of the method, one after the other, and what they say together."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from ptd.methods import METHODS
+from ptd.passes import MethodRefusal, Pass, RunFacts, State
+from ptd.warm import warm_filters
+from tiler.core.lattice import Cell
+from tiler.errors import ConfigError, ProcessingError
+from tiler.job import Job
+from tiler.plan import KEEP
+from tiler.schedule import Task
+from tiler.tasks import Assembled, filter_tasks, label_digests
+
+
+def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
+    """Run the passes of the method; digests of the final labels by bucket."""
+    if job.plan.config.method == KEEP:
+        return assembled.digests
+    passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
+    ever = max(job.store.get_state("passes") or 0, len(passes))
+    job.store.put_state("passes", ever)
+    for number in range(len(passes), ever):
+        job.store.clear(f"filter{number}")  # its labels are about to be overwritten
+    config, known = job.plan.config, job.plan.statistics
+    sigma = None if config.sigma is None else float(config.sigma)
+    state: dict[str, Any] = {"run": dataclasses.asdict(RunFacts(job.plan.meta.has_rgb, sigma))}
+    labels = assembled.digests
+    warm = functools.partial(warm_filters, config.method)
+    job.facts["statistics"] = {}
+    for number, step in enumerate(passes):
+        tasks = list(filter_tasks(job.plan, assembled, number, state, labels))
+        filtered = job.perform(f"filter{number}", tasks, warm)
+        if not filtered:
+            raise ProcessingError(f"no tile could be filtered; the first: {job.failed[0]['error']}")
+        partials = (record["partial"] for _, record in filtered.values())
+        state = _reduced(job, step, partials, state) if known is None else known[step.name]
+        job.store.put_state(f"after-{step.name}", state)
+        job.facts["statistics"][step.name] = state
+        if step.gives_labels:
+            job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
+            for task in tasks:
+                if task.key not in filtered:
+                    _keep_classes(job, task)
+            labels = label_digests(assembled, filtered)
+    return labels
+
+
+def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    """The state after a pass; what it decided is told."""
+    try:
+        found = step.reduce(partials, state)
+    except MethodRefusal as error:
+        raise ConfigError(f"--method {job.plan.config.method}: {error}") from error
+    for text in found.get("notes", [])[len(state.get("notes", [])) :]:
+        job.note(text)
+    return found
+
+
+def _keep_classes(job: Job, task: Task) -> None:
+    """The points of a tile that failed have no label: not that of an earlier run, either."""
+    buckets = job.store.buckets()
+    for cell in (Cell(*indices) for indices in task.arguments["cells"]):
+        job.store.write_labels(task.arguments["labels_out"], cell, np.zeros(buckets[cell].n, np.uint8))
+
+
+def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:
+    def total(name: str) -> int:
+        return sum(r[name] for r in records)
+
+    names = ("points", "ground", "low_noise", "unclassified", "kept", "marked")
+    again = sum(r["tries"] > 1 for r in records)
+    facts: dict[str, Any] = {name: total(name) for name in names}
+    facts |= {
+        "tiles": tiles,
+        "tiles_done_again": again,
+        "overlap_work": total("window_area") / max(total("core_area"), 1),
+    }
+    if facts["marked"]:
+        job.note(
+            f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them"
+        )
+    return facts
