@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.ingest import SourceInfo
+from tiler.roofs import WIDEST_M, roofs
 from tiler.store import TileStore
 
 Float64 = npt.NDArray[np.float64]
@@ -28,16 +27,10 @@ COLOURS_WITHOUT_TIME = 2
 """Point format of matched clouds: scanners keep the time of each pulse."""
 
 ROOF_CELL_M = 2.0
-WIDEST_ROOF_M = 200.0
-LEVEL_M = 1.0
-"""Heights of a cell and its neighbours differ by no more on a roof."""
-EAVES_M = 2.0
-EAVES_SHARE = 0.8
-"""Of a roof's outline from which the terrain falls by `EAVES_M`."""
-PLANE_M = 0.6
-"""Root mean square of a roof's cells about their plane."""
-BEYOND_CELLS = 3
-"""From a roof's level cells to the ground beside it: the edge itself takes the cells between."""
+TOO_WIDE = 0.8
+"""Share of ``max_building_size`` from which a roof that is left in the terrain is told of."""
+REACH_M = 1.75 * WIDEST_M
+"""Around a part: half of a roof whose middle lies in it, and the square around that."""
 PART_CELLS = 500
 """Sides of the parts in which terrain is looked at: memory is that of one."""
 STRIP_ROWS = 512
@@ -101,7 +94,7 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
     frame = store.meta.frame
     pixel = float(spec.lattice.size * frame.metres_xy)
     times = max(int(ROOF_CELL_M / pixel), 1)
-    core, pad = PART_CELLS * times, math.ceil(WIDEST_ROOF_M / pixel / times) * times
+    core, pad = PART_CELLS * times, math.ceil(REACH_M / pixel / times) * times
     widest, where = 0.0, None
     for block in spec.blocks(core):
         top, left = max(block.row - pad, 0), max(block.col - pad, 0)
@@ -109,10 +102,10 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
         right = min(block.col + block.width + pad, spec.width)
         part = _part(store, name, Block(top, left, bottom - top, right - left), times)
         heights = np.where(part == np.float32(NODATA), np.nan, part) * float(frame.units.vertical)
-        for width, row, col in roofs(heights, pixel * times):
+        for width, row, col in roofs(heights, pixel * times, TOO_WIDE * building_m):
             if width > widest:
                 widest, where = width, (top + int(row * times), left + int(col * times))
-    if where is None or widest <= 0.8 * building_m:
+    if where is None:
         return None
     x, y = _place(store, spec, *where)
     wanted = math.ceil(1.2 * max(widest, building_m) / 10) * 10
@@ -138,61 +131,3 @@ def _part(store: TileStore, name: str, part: Block, times: int) -> Float64:
 def pooled(heights: npt.NDArray[np.float32], times: int) -> Float64:
     """The heights of every so many-th pixel: thinning keeps what stands steep, means would blur it."""
     return heights[times // 2 :: times, times // 2 :: times].astype(np.float64)
-
-
-def roofs(heights: Float64, cell_m: float) -> list[tuple[float, float, float]]:
-    """Level blocks that stand above all that is around them.
-
-    Parameters
-    ----------
-    heights : float64, shape (rows, columns)
-        Metres, NaN where unknown.
-    cell_m : float
-
-    Returns
-    -------
-    list of (width, row, column)
-        Diameter of the largest circle inside, metres, and the middle.
-    """
-    if heights.size == 0:
-        return []
-    rim = BEYOND_CELLS + 1
-    heights = np.pad(heights, rim, constant_values=np.nan)
-    known = ~np.isnan(heights)
-    low = ndimage.minimum_filter(np.where(known, heights, np.inf), 3)
-    high = ndimage.maximum_filter(np.where(known, heights, -np.inf), 3)
-    with np.errstate(invalid="ignore"):
-        level = known & (high - low <= LEVEL_M)
-    numbers, _ = ndimage.label(level)
-    found = []
-    for number, box in enumerate(ndimage.find_objects(numbers), start=1):
-        cut = any(s.start == rim or s.stop == n - rim for s, n in zip(box, heights.shape, strict=True))
-        if cut or max(s.stop - s.start for s in box) * cell_m > WIDEST_ROOF_M:
-            continue
-        window = tuple(slice(s.start - rim, s.stop + rim) for s in box)
-        roof = _roof(heights[window], numbers[window] == number, cell_m)
-        if roof is not None:
-            middle = [(s.start + s.stop) / 2 - rim for s in box]
-            found.append((roof, middle[0], middle[1]))
-    return found
-
-
-def _roof(heights: Float64, level: npt.NDArray[np.bool_], cell_m: float) -> float | None:
-    """Width of a level piece if it is a roof."""
-    inside = ndimage.distance_transform_edt(np.pad(level, 1))
-    width = 2 * float(inside.max()) * cell_m
-    if width < 4 * cell_m:
-        return None
-    around = ndimage.binary_dilation(level, iterations=BEYOND_CELLS + 1)
-    ring = around & ~ndimage.binary_dilation(level, iterations=BEYOND_CELLS)
-    nearest = ndimage.distance_transform_edt(~level, return_distances=False, return_indices=True)
-    with np.errstate(invalid="ignore"):
-        falls = heights[tuple(nearest)] - heights >= EAVES_M
-    if np.count_nonzero(falls & ring) < EAVES_SHARE * np.count_nonzero(ring):
-        return None
-    rows, columns = np.nonzero(level)
-    system = np.column_stack((rows, columns, np.ones(rows.size)))
-    z = heights[level]
-    plane: Any = np.linalg.lstsq(system, z, rcond=None)[0]
-    rest = z - system @ plane
-    return width if float(np.sqrt(np.mean(rest * rest))) <= PLANE_M else None

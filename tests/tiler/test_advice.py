@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from tests.tiler.conftest import MakeCloud
-from tiler.advice import before, pooled, roofs, roofs_in_terrain
+from tests.tiler.test_roofs import ROWS, with_hall
+from tiler.advice import before, pooled, roofs_in_terrain
 from tiler.config import RunConfig
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
@@ -20,34 +21,6 @@ from tiler.ingest import SourceInfo, inspect
 from tiler.plan import make_plan
 from tiler.plan.refuse import warnings_of
 from tiler.store import StoreMeta, TileStore, create_store
-
-ROWS, COLUMNS = np.mgrid[:120, :150].astype(np.float64)
-PLAIN = 0.02 * COLUMNS + 0.1 * np.sin(ROWS / 5)
-
-
-def with_hall(high: float = 8.0, rows: slice = slice(40, 70), columns: slice = slice(50, 80)) -> np.ndarray:
-    heights = PLAIN.copy()
-    heights[rows, columns] += high
-    return heights
-
-
-def test_a_hall_is_found_with_its_place_and_width() -> None:
-    ((width, row, col),) = roofs(with_hall(), 2.0)
-    assert width == pytest.approx(56, abs=4)  # its level cells: one off each side
-    assert (row, col) == (pytest.approx(55, abs=1), pytest.approx(65, abs=1))
-
-
-ridge = np.abs(COLUMNS - 75)
-
-
-@pytest.mark.parametrize(
-    "heights",
-    [PLAIN, with_hall(1.5), with_hall(-8.0), with_hall(columns=slice(50, 150)), -0.8 * ridge, np.full((9, 9), np.nan),
-     with_hall(columns=slice(20, 140)), np.maximum(0, 30 - np.hypot(ROWS - 60, COLUMNS - 75)), PLAIN[:0]],
-    ids=["plain", "podium", "pit", "terrace", "ridge", "unknown", "wider than roofs", "cone", "nothing"],
-)  # fmt: skip
-def test_terrain_is_no_roof(heights: np.ndarray) -> None:
-    assert roofs(heights, 2.0) == []
 
 
 def test_pooling_keeps_the_place() -> None:
@@ -74,9 +47,9 @@ def test_a_roof_in_the_terrain_of_a_store(
         store.write_block("dtm", block, part)
     text = roofs_in_terrain(store, "dtm", spec, 20.0)
     assert text is not None
-    assert text.startswith("the terrain holds what looks like a roof 5")
+    assert text.startswith("the terrain holds what looks like a roof 60 m wide")
     assert "x 500130, y 5399890" in text
-    assert text.endswith("max_building_size is 20 m; if it is one, use --set max_building_size=70")
+    assert text.endswith("max_building_size is 20 m; if it is one, use --set max_building_size=80")
     assert roofs_in_terrain(store, "dtm", spec, 80.0) is None
 
 
