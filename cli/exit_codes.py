@@ -4,7 +4,6 @@ from __future__ import annotations
 
 DONE = 0
 USAGE = 2
-INPUT = 3
 PROCESSING = 4
 PARTIAL = 5
 INTERRUPTED = 130

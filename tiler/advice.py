@@ -107,7 +107,7 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
                 widest, where = width, (top + int(row * times), left + int(col * times))
     if where is None:
         return None
-    x, y = _place(store, spec, *where)
+    x, y = _place(spec, *where)
     wanted = math.ceil(1.2 * max(widest, building_m) / 10) * 10
     return (
         f"the terrain holds what looks like a roof {widest:.0f} m wide, at x {x:.0f}, y {y:.0f}, and max_building_size "
@@ -115,7 +115,7 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
     )
 
 
-def _place(store: TileStore, spec: RasterSpec, row: int, col: int) -> tuple[float, float]:
+def _place(spec: RasterSpec, row: int, col: int) -> tuple[float, float]:
     a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
     return x + a * col, y + e * row
 

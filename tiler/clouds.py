@@ -8,11 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import InputError, ProcessingError
-from tiler.job import Commits, Job
+from tiler.job import Job
 from tiler.places import open_cloud
 from tiler.schedule import Task
-from tiler.store import BucketInfo
-from tiler.tasks import Assembled, Source, assemble_tasks, fragments_of, spool_tasks, strays_of
+from tiler.store import BucketInfo, Commits
+from tiler.tasks import (
+    Assembled,
+    Source,
+    assemble_tasks,
+    by_source,
+    fragments_of,
+    source_of,
+    spool_tasks,
+    strays_of,
+)
 
 HASH_PIECE = 1 << 22
 
@@ -50,15 +59,15 @@ def _content_digest(path: Path) -> str:
 def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     """Decode; a source with a piece that failed is left out whole."""
     spooled = job.perform("spool", spool_tasks(job.plan, sources))
-    bad = {f["key"][:7]: f["error"] for f in job.failed if f["stage"] == "spool"}
+    bad = {source_of(f["key"]): f["error"] for f in job.failed if f["stage"] == "spool"}
     job.failed = [f for f in job.failed if f["stage"] != "spool"]
-    good = [s for s in sources if f"s{s.number:06d}" not in bad]
+    good = [s for s in sources if s.name not in bad]
     for source in sources:
-        error = bad.get(f"s{source.number:06d}")
+        error = bad.get(source.name)
         if error is not None:
             job.quarantined.append({"path": str(source.info.path), "error": error})
             job.listener("warning", {"text": f"{source.info.path}: left out: {error}"})
-    spooled = {k: c for k, c in spooled.items() if k[:7] not in bad}
+    spooled = {k: c for k, c in spooled.items() if source_of(k) not in bad}
     if not good:
         raise InputError(f"no input could be read; the first: {job.quarantined[0]['error']}")
     records = [record for _, record in spooled.values()]
@@ -73,7 +82,10 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
         "dropped": dict(dropped),
         "largest_rounding": rounding,
     }
-    job.facts["inputs"] = [_input_facts(s, spooled) for s in sources]
+    stored_of = {name: sum(r["stored"] for r in found) for name, found in by_source(spooled).items()}
+    job.facts["inputs"] = [
+        {**s.info.to_json(), "content": s.content, "stored": stored_of.get(s.name, 0)} for s in sources
+    ]
     if rounding > 0:
         job.note(f"coordinates were rounded to counts for filtering, by {rounding:.3g} CRS units at most")
     for reason, count in dropped.items():
@@ -83,14 +95,6 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
             f"all {read:,} points were dropped ({', '.join(dropped)}): nothing to make a terrain of"
         )
     return spooled, good
-
-
-def _input_facts(source: Source, spooled: Commits) -> dict[str, Any]:
-    prefix = f"s{source.number:06d}-"
-    return {
-        **source.info.to_json(), "content": source.content,
-        "stored": sum(r["stored"] for key, (_, r) in spooled.items() if key.startswith(prefix)),
-    }  # fmt: skip
 
 
 def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:

@@ -68,12 +68,6 @@ class DiskFullError(ProcessingError):
     again = False
 
 
-class Interrupted(TilerError):
-    """Ctrl-C or SIGTERM: the same command goes on where it was."""
-
-    exit_code = 130
-
-
 def refused_write(what: str, error: Exception, folder: Path | None = None) -> ProcessingError:
     """The one-line error of a write that the file system refused; a `DiskFullError` where there is no space.
 

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from tiler.core.raster import RasterSpec
+from tiler.core.raster import Block
 from tiler.job import Job
 from tiler.plan import GRID_BLOCK
+from tiler.product_tasks import WHOLE
 
 ROUNDS = 3
 """Of repair: a disk that damages what it is given again and again is beyond it."""
@@ -69,7 +70,6 @@ def _take_back_bucket(job: Job, kind: str, row: int) -> None:
 
 
 def _take_back_block(job: Job, name: str, row: int, col: int) -> None:
-    spec = RasterSpec.from_json(job.store.get_state(f"raster-{name}"))
-    for block in spec.blocks(GRID_BLOCK):
-        if (block.row // GRID_BLOCK, block.col // GRID_BLOCK) == (row, col):
-            job.take_back(f"grid-{name}", [block.name])
+    """The task that wrote a chunk of a raster: its block's, or that of the whole."""
+    block = Block(row * GRID_BLOCK, col * GRID_BLOCK, GRID_BLOCK, GRID_BLOCK)
+    job.take_back(f"grid-{name}", [block.name, WHOLE])

@@ -22,7 +22,7 @@ from tiler.perform import peak_rss_bytes, perform
 from tiler.plan import Plan, plan_json
 from tiler.report import write_run_file
 from tiler.schedule import Outcome, Task
-from tiler.store import LEASE_SECONDS, Lease, TileStore
+from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 
 LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
 
@@ -36,7 +36,6 @@ LISTED_TILES = 20_000
 """Of a stage in run.json, which is written anew after each stage; more are counted alone."""
 
 Warm = Callable[[Callable[[], None]], None]
-Commits = dict[str, tuple[str, dict[str, Any]]]
 
 
 @dataclass

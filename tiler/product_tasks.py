@@ -7,6 +7,7 @@ Besides the products there are rasters that only the store holds: ``occupancy`` 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -32,9 +33,8 @@ from tiler.grid import (
 )
 from tiler.plan import GRID_BLOCK, Plan
 from tiler.schedule import Task, Work, digest_of
+from tiler.store import Commits
 from tiler.tasks import Assembled, grid_tasks, ground_arguments, raster_spec
-
-Commits = Mapping[str, tuple[str, dict[str, Any]]]
 
 MODELS = ("dtm", "dsm")
 """Products whose voids can be filled."""
@@ -218,15 +218,16 @@ def _fill_tasks(name: str, g: Gridding) -> Iterator[Task]:
     }  # fmt: skip
     covers = [coarse.block_bounds(Block(*box)) for box in boxes]
     pixel = math.ceil(spec.lattice.size)
+    voids_of: dict[str, list[int]] = defaultdict(list)
+    for number, cover in enumerate(covers):
+        for block in spec.blocks_within(cover, GRID_BLOCK):
+            voids_of[block.name].append(number)
     for block in spec.blocks(GRID_BLOCK):
-        bounds = spec.block_bounds(block)
-        mine = [number for number, cover in enumerate(covers) if cover.overlaps(bounds)]
+        mine = voids_of.get(block.name, [])
         seen = [checksums(g.made["survey"]), checksums(found) if mine else []]
-        reach = [covers[number].pad(2 * pixel) for number in mine] + [bounds]
-        for other in spec.blocks(GRID_BLOCK):
-            key = other.name
-            if key in g.made[model] and any(spec.block_bounds(other).overlaps(cover) for cover in reach):
-                seen.append([[key, g.made[model][key][1]["checksum"]]])
+        reach = [covers[number].pad(2 * pixel) for number in mine]
+        near = {b.name for cover in reach for b in spec.blocks_within(cover, GRID_BLOCK)} | {block.name}
+        seen += [[[key, g.made[model][key][1]["checksum"]]] for key in sorted(near & g.made[model].keys())]
         arguments = {**common, "block": _of_block(block), "voids": [[n + 1, *boxes[n]] for n in mine]}
         digest = digest_of(__version__, arguments, seen)
         yield Task(f"grid-{name}", block.name, digest, fill_block, arguments, block.height * block.width)

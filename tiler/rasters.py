@@ -18,11 +18,12 @@ from tiler.core.raster import RasterSpec
 from tiler.earlier import put_aside
 from tiler.errors import ProcessingError
 from tiler.file_tasks import cog_tasks, mosaic_tasks
-from tiler.job import Commits, Job
+from tiler.job import Job
 from tiler.places import is_url, joined, size_at
 from tiler.plan import GRID_BLOCK, KEEP
 from tiler.product_tasks import WHOLE, Gridding, raster_tasks, wanted
 from tiler.schedule import Task, digest_of
+from tiler.store import Commits
 from tiler.tasks import Assembled, Source, classified_tasks
 
 RASTERS = (".tif", ".vrt")

@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import reduce
 from typing import Any
 
 from ptd.methods import METHODS
@@ -33,6 +34,7 @@ from tiler.ingest import (
 from tiler.places import joined
 from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
+from tiler.store import Commits
 from tiler.tiles import hull, tiles_of
 
 ERODE_RISE_M = 1
@@ -49,6 +51,11 @@ class Source:
     info: SourceInfo
     number: int
     content: str
+
+    @property
+    def name(self) -> str:
+        """With which the keys of its pieces begin: ``s000012``."""
+        return f"s{self.number:06d}"
 
     @property
     def identity(self) -> list[Any]:
@@ -74,7 +81,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
         claimed = claimed_bounds(source.info)
         extent = None if claimed is None else claimed.to_json()
         for start, count in pieces(source.info, PIECE_POINTS):
-            key = f"s{source.number:06d}-{start:012d}"
+            key = f"{source.name}-{start:012d}"
             arguments = {
                 "path": str(source.info.path.resolve()), "source": source.number, "piece": key, "start": start,
                 "count": count, "bounds": limits, "salvage": plan.config.salvage, "extent": extent,
@@ -85,11 +92,24 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
             yield Task("spool", key, digest, spool_piece, arguments, count)
 
 
+def by_source(spooled: Commits) -> dict[str, list[dict[str, Any]]]:
+    """Name of a source -> the records of its pieces."""
+    found: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for key, (_, record) in spooled.items():
+        found[source_of(key)].append(record)
+    return found
+
+
+def source_of(piece: str) -> str:
+    """Name of the source that a piece is of."""
+    return piece.partition("-")[0]
+
+
 Fragments = dict[Cell, list[tuple[str, int, int]]]
 """Piece, first and end row of each run of points that belongs to a bucket."""
 
 
-def fragments_of(spooled: Mapping[str, tuple[str, dict[str, Any]]]) -> Fragments:
+def fragments_of(spooled: Commits) -> Fragments:
     """Where the points of each bucket lie in the spool, from the commits of the pieces."""
     found: Fragments = defaultdict(list)
     for piece in sorted(spooled):
@@ -100,20 +120,19 @@ def fragments_of(spooled: Mapping[str, tuple[str, dict[str, Any]]]) -> Fragments
     return dict(found)
 
 
-def strays_of(
-    plan: Plan, sources: Iterable[Source], spooled: Mapping[str, tuple[str, dict[str, Any]]]
-) -> dict[int, Strays]:
+def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[int, Strays]:
     """Number of a source -> its strays, for those that have some."""
     held: dict[str, dict[Cell, int]] = defaultdict(lambda: defaultdict(int))
     outside: dict[str, int] = defaultdict(int)
     for key, (_, record) in spooled.items():
-        outside[key[:7]] += record["outside"]
+        outside[source_of(key)] += record["outside"]
         for ix, iy, count in record["buckets"]:
-            held[key[:7]][Cell(ix, iy)] += count
+            held[source_of(key)][Cell(ix, iy)] += count
     found = {}
     for source in sources:
-        key = f"s{source.number:06d}"
-        strays = find_strays(held[key], plan.meta.bucket, claimed_bounds(source.info), outside[key])
+        strays = find_strays(
+            held[source.name], plan.meta.bucket, claimed_bounds(source.info), outside[source.name]
+        )
         if strays != Strays():
             found[source.number] = strays
     return found
@@ -121,14 +140,14 @@ def strays_of(
 
 def assemble_tasks(
     plan: Plan,
-    spooled: Mapping[str, tuple[str, dict[str, Any]]],
+    spooled: Commits,
     fragments: Fragments,
     strays: Mapping[int, Strays],
 ) -> Iterator[Task]:
     """One for each group of neighbouring buckets."""
 
     def bucket(cell: Cell) -> list[Any]:
-        sources = {int(piece[1:7]) for piece, _, _ in fragments[cell]} & strays.keys()
+        sources = {int(source_of(piece)[1:]) for piece, _, _ in fragments[cell]} & strays.keys()
         rules = [[n, strays[n].rule(plan.meta.bucket, cell)] for n in sorted(sources)]
         rules = [rule for rule in rules if rule[1] is not None]
         return [cell.ix, cell.iy, [list(f) for f in fragments[cell]], *([rules] if rules else [])]
@@ -153,7 +172,7 @@ class Assembled:
     digests: dict[Cell, str]
 
     @classmethod
-    def of(cls, commits: Mapping[str, tuple[str, dict[str, Any]]]) -> Assembled:
+    def of(cls, commits: Commits) -> Assembled:
         """From the commits of the assembly tasks."""
         records: dict[Cell, dict[str, Any]] = {}
         digests: dict[Cell, str] = {}
@@ -166,10 +185,7 @@ class Assembled:
     def bounds(self) -> Bounds:
         """Of all stored points, absolute counts."""
         found = [Bounds.from_json(r["bounds"]) for r in self.records.values() if r["bounds"]]
-        union = found[0]
-        for other in found[1:]:
-            union = union.union(other)
-        return union
+        return reduce(Bounds.union, found)
 
 
 def filter_tasks(
@@ -198,9 +214,7 @@ def filter_tasks(
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, arguments, points)
 
 
-def label_digests(
-    assembled: Assembled, filtered: Mapping[str, tuple[str, dict[str, Any]]]
-) -> dict[Cell, str]:
+def label_digests(assembled: Assembled, filtered: Commits) -> dict[Cell, str]:
     """Bucket -> digest of its contents and of the labels that a pass gave it; of a tile that failed it gave none."""
     labels = dict.fromkeys(assembled.records, "none")
     for _, record in filtered.values():
@@ -256,22 +270,15 @@ def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], nam
 def classified_tasks(
     plan: Plan,
     sources: Iterable[Source],
-    spooled: Mapping[str, tuple[str, dict[str, Any]]],
+    spooled: Commits,
     labels: Mapping[Cell, str],
     out: str,
 ) -> Iterator[Task]:
     """One for each source."""
+    records = by_source(spooled)
     for source in sources:
-        prefix = f"s{source.number:06d}-"
-        cells = sorted(
-            {
-                Cell(ix, iy)
-                for key, (_, r) in spooled.items()
-                if key.startswith(prefix)
-                for ix, iy, _ in r["buckets"]
-                if Cell(ix, iy) in labels  # a bucket whose task failed is not there
-            }
-        )
+        touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]}
+        cells = sorted(touched & labels.keys())  # a bucket whose task failed is not there
         arguments = {
             "path": str(source.info.path.resolve()), "source": source.number,
             "out": joined(out, "classified", str(plan.names[source.info.path])), "labels": LABELS,

@@ -37,7 +37,6 @@ def lower_vertex(
     start = edge >> 3
     while True:
         triangles[8 * (edge >> 3) + 3] = stamp
-        triangles[8 * (edge >> 3) + 7] = 0
         edge = next_edge(triangles[next_edge(edge)])
         if edge >> 3 == start:
             return True

@@ -6,8 +6,8 @@
 
 ``triangles`` (8 int32 a triangle)
     ``triangles[8 * t + 0 .. 2]`` are the twins of its three half-edges, ``[8 * t + 3]`` the stamp of its
-    last change, ``[8 * t + 4 .. 6]`` its vertices counter-clockwise, ``[8 * t + 7]`` is free for the caller
-    (zeroed when the triangle is created or changed).
+    last change, ``[8 * t + 4 .. 6]`` its vertices counter-clockwise, ``[8 * t + 7]`` is 0 and
+    makes a row 32 bytes long.
 
     A *half-edge* is the number ``h = 8 * t + j``, j = 0, 1, 2. It lies opposite vertex j of triangle t, so
     ``triangles[h]`` is its twin (again a half-edge number), ``triangles[h + 4]`` the vertex opposite, ``h
@@ -37,7 +37,6 @@ __all__ = [
     "MAX_VERTICES",
     "N_TRIANGLES",
     "N_VERTICES",
-    "SPARE",
     "STAMP",
     "VERTEX",
     "Int32Array",
@@ -56,7 +55,6 @@ Int32Array = npt.NDArray[np.int32]
 GHOST = -1
 STAMP = 3  # column of a triangle
 VERTEX = 4  # first vertex column of a triangle
-SPARE = 7  # column of a triangle
 
 N_VERTICES = 0  # entries of `counters`
 N_TRIANGLES = 1

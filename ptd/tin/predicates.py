@@ -18,15 +18,9 @@ largest point moves most".
 
 from ptd.kernel import kernel
 
-__all__ = ["cross", "cross_at", "ghost_conflict", "in_circle", "lexicographic_less"]
+__all__ = ["cross_at", "ghost_conflict", "in_circle", "lexicographic_less"]
 
 _ERROR = 4.0 * 2.0**-53
-
-
-@kernel
-def cross(ax: int, ay: int, bx: int, by: int) -> int:
-    """Cross product of two vectors: twice the area of (origin, a, b), positive if counter-clockwise."""
-    return ax * by - ay * bx
 
 
 @kernel

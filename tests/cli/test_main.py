@@ -13,7 +13,7 @@ import click
 import pytest
 
 from cli.main import COMMANDS, LazyGroup, group, main
-from tiler.errors import ConfigError, InputError, Interrupted, LockedError, ProcessingError, StoreError
+from tiler.errors import ConfigError, InputError, LockedError, ProcessingError, StoreError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -44,7 +44,6 @@ class Panic(BaseException):
         (InputError("a.laz: cut short"), 3, "a.laz: cut short"),
         (StoreError("store.zarr: damaged"), 4, "store.zarr: damaged"),
         (ProcessingError("disk full\nreally"), 4, "disk full really"),
-        (Interrupted("stopped"), 130, "stopped"),
         (ValueError("odd"), 4, "unexpected ValueError: odd; the same command with -vv shows the traceback"),
         (MemoryError(), 4, "unexpected MemoryError; the same command with -vv shows the traceback"),
         (Panic("index"), 4, "unexpected Panic: index; the same command with -vv shows the traceback"),

@@ -12,6 +12,7 @@ import pytest
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
 from tiler.errors import StoreError
+from tiler.store import open_store
 
 
 def flip(path: Path) -> None:
@@ -96,6 +97,19 @@ def test_a_damaged_spool_is_decoded_again(cloud: Path, whole: Path, tmp_path: Pa
     result = do(cloud, out)
     assert result.summary["healed"]
     assert output_digests(out) == output_digests(whole)
+
+
+def test_a_raster_that_is_made_at_once_is_made_again(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    do(cloud, out, products=("dtm", "mask"))
+    mask = (out / "mask.tif").read_bytes()
+    (out / "mask.tif").unlink()
+    store = open_store(str(out / "store.zarr"))
+    store.clear("grid-mask")
+    flip(next((out / "store.zarr").glob("rasters/survey/c/*/*")))
+    result = do(cloud, out, products=("dtm", "mask"))
+    assert result.summary["healed"]
+    assert (out / "mask.tif").read_bytes() == mask
 
 
 def test_a_disk_that_damages_everything_ends_the_run(

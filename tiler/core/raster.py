@@ -52,6 +52,17 @@ class RasterSpec:
             for col in range(0, self.width, size):
                 yield Block(row, col, min(size, self.height - row), min(size, self.width - col))
 
+    def blocks_within(self, bounds: Bounds, size: int) -> Iterator[Block]:
+        """Those of the `blocks` that hold a count of ``bounds``, in the same order."""
+        if bounds.empty:
+            return
+        index = self.lattice.index_of
+        left, right = index(bounds.x0) - self.west, index(bounds.x1 - 1) - self.west
+        top, bottom = self.north - 1 - index(bounds.y1 - 1), self.north - 1 - index(bounds.y0)
+        for row in range(max(top, 0) // size * size, min(bottom + 1, self.height), size):
+            for col in range(max(left, 0) // size * size, min(right + 1, self.width), size):
+                yield Block(row, col, min(size, self.height - row), min(size, self.width - col))
+
     def block_bounds(self, block: Block) -> Bounds:
         """The absolute counts that the pixels of a block cover."""
         first = self.lattice.first

@@ -171,9 +171,7 @@ def agree(infos: Sequence[SourceInfo], config: RunConfig) -> Agreement:
     """
     notes: list[str] = []
     given = _given(config.crs)
-    members = [
-        (i.path, _settled(i.path, i.georeference, given, config.crs, notes)) for i in infos if i.points
-    ]
+    members = [(i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points]
     _check_horizontal(members)
     _tell_of_own(members, config.crs, given, notes)
     units = _units(members, config.units, notes)
@@ -215,9 +213,7 @@ def _tell_of_own(
         )
 
 
-def _settled(
-    path: Path, own: Georeference, given: Georeference | None, text: str | None, notes: list[str]
-) -> Georeference:
+def _settled(path: Path, own: Georeference, given: Georeference | None, text: str | None) -> Georeference:
     """What a file's coordinates mean once ``--crs`` is heard; raises InputError."""
     if own.kind in ("geographic", "geocentric"):
         raise InputError(

@@ -114,7 +114,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
             refuse(path, "is no regular file", "name LAS or LAZ files")
         with open_cloud(path) as stream:
             header = _fixed_block(path, stream, stat.st_size, stat.st_mtime_ns, salvage)
-            header = _records(header, stream, salvage)
+            header = _records(header, stream)
             if header.laz is None:
                 header = _plain_points(header, salvage)
             else:
@@ -182,7 +182,7 @@ def _fixed_block(path: Path, stream: BinaryIO, size: int, mtime_ns: int, salvage
     return header
 
 
-def _records(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
+def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     """The VLRs, and with them how the points are compressed."""
     unfinished = header.points_offset == 0
     stream.seek(100)

@@ -5,6 +5,7 @@ The only place that knows zarr, paths, dtypes, chunks and the schema version.
 
 from __future__ import annotations
 
+from tiler.store.commits import Commits
 from tiler.store.index import BucketInfo
 from tiler.store.lock import LEASE_SECONDS, Lease
 from tiler.store.meta import StoreMeta
@@ -15,6 +16,7 @@ from tiler.store.store import TileStore
 __all__ = [
     "LEASE_SECONDS",
     "BucketInfo",
+    "Commits",
     "Lease",
     "StoreMeta",
     "TileStore",
