@@ -1,15 +1,12 @@
-"""The stage ingest of a run: sources are numbered, decoded into pieces, and their points put into buckets."""
+"""The stage ingest of a run: sources are decoded into pieces, and their points put into buckets."""
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 from tiler.errors import InputError, ProcessingError
 from tiler.job import Job
-from tiler.places import open_cloud
 from tiler.schedule import Task
 from tiler.store import BucketInfo, Commits
 from tiler.tasks import (
@@ -22,38 +19,6 @@ from tiler.tasks import (
     spool_tasks,
     strays_of,
 )
-
-HASH_PIECE = 1 << 22
-
-
-def numbered(job: Job) -> list[Source]:
-    """Sources with a number that stays theirs in this store, and the digest of their bytes."""
-    known: dict[str, dict[str, Any]] = job.store.get_state("sources") or {}
-    sources = []
-    for info in job.plan.sources:
-        path = str(info.path.resolve())
-        entry = known.get(path, {"number": len(known)})
-        stamp = [info.size, info.mtime_ns, info.digest]
-        if entry.get("stamp") != stamp or job.plan.config.verify:
-            entry = {**entry, "stamp": stamp, "content": _content_digest(info.path)}
-        known[path] = entry
-        if info.points:
-            sources.append(Source(info, entry["number"], entry["content"]))
-    job.store.put_state("sources", known)
-    return sources
-
-
-def _content_digest(path: Path) -> str:
-    digest = hashlib.blake2b(digest_size=16)
-    try:
-        with open_cloud(path) as stream:
-            while part := stream.read(HASH_PIECE):
-                digest.update(part)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror or error}); see to the disk and its rights"
-        ) from error
-    return digest.hexdigest()
 
 
 def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:

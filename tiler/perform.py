@@ -47,13 +47,23 @@ def _give_back() -> None:
 
 def perform(store_url: str, task: Task) -> Outcome:
     """Run a task and commit what it returns, so that it counts as done whatever becomes of the command."""
+    return _worked(store_url, task, committed=True)
+
+
+def compute(store_url: str, task: Task) -> Outcome:
+    """Run a task of which nothing is committed: the command keeps what it returns."""
+    return _worked(store_url, task, committed=False)
+
+
+def _worked(store_url: str, task: Task, committed: bool) -> Outcome:
     start = time.monotonic()
     _forget_peak()
     kind: type[BaseException]
     damaged: tuple[str, ...] = ()
     try:
         record = task.work(store_url, task.arguments)
-        open_store(store_url).commit(task.stage, task.key, task.digest, record)
+        if committed:
+            open_store(store_url).commit(task.stage, task.key, task.digest, record)
     except (KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
     except TilerError as error:

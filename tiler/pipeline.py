@@ -10,10 +10,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from tiler.clouds import assemble, numbered, spool
+from tiler.clouds import assemble, spool
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, DamagedError, ProcessingError
 from tiler.healing import ROUNDS, heal
+from tiler.identity import numbered
 from tiler.job import Job, RunResult
 from tiler.labels import filter_points
 from tiler.observe.eventlog import EventLog

@@ -15,6 +15,8 @@ from tiler.errors import ConfigError, refused_write
 
 BLOCK_BYTES = 1 << 22
 """Of an object, asked for at once: the bytes of some chunks of points."""
+KEPT_BLOCKS = 8
+"""Of an object that is read: where its header, its table and its points are."""
 
 
 def is_url(text: str | Path) -> bool:
@@ -53,25 +55,34 @@ def stat_cloud(path: Path) -> os.stat_result:
         return path.stat()
 
 
-def open_cloud(path: Path) -> BinaryIO:
-    """Open for reading, anywhere in it, in pieces of `BLOCK_BYTES` where it is a URL; raises OSError."""
+def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES) -> BinaryIO:
+    """Open for reading, anywhere in it, in pieces of ``block_bytes`` where it is a URL; raises OSError."""
     if not is_url(path):
         return open(path, "rb")
     with storage_errors():
-        opened = cast(Any, path).open("rb", block_size=BLOCK_BYTES, cache_type="readahead")
+        # A decoder jumps between the points, their table at the end and the header: each block is asked for once.
+        options = {"cache_type": "blockcache", "cache_options": {"maxblocks": KEPT_BLOCKS}}
+        opened = cast(Any, path).open("rb", block_size=block_bytes, **options)
         return cast(BinaryIO, _Guarded(opened))
 
 
+def second_view(file: BinaryIO, path: Path) -> BinaryIO:
+    """The same file once more, with a place of its own; of a URL with the blocks that were asked for already."""
+    return cast(BinaryIO, _Guarded(file.shared)) if isinstance(file, _Guarded) else open(path, "rb")
+
+
 class _Guarded(io.RawIOBase):
-    """A file of fsspec whose every error is an OSError.
+    """A file of fsspec whose every error is an OSError; several may share one, used by one thread.
 
     Parameters
     ----------
-    file : file object
+    shared : file object
+        Left open: nothing but its blocks are to be freed, and others may read it.
     """
 
-    def __init__(self, file: Any) -> None:
-        self._file = file
+    def __init__(self, shared: Any) -> None:
+        self.shared = shared
+        self._place = 0
 
     def readable(self) -> bool:
         return True
@@ -80,21 +91,22 @@ class _Guarded(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        return int(self._file.seek(offset, whence))
+        if whence == io.SEEK_END:
+            self._place = int(self.shared.seek(offset, whence))
+        else:
+            self._place = offset + (self._place if whence == io.SEEK_CUR else 0)
+        return self._place
 
     def tell(self) -> int:
-        return int(self._file.tell())
+        return self._place
 
     def readinto(self, target: Any) -> int:
         with storage_errors():
-            data = self._file.read(len(target))
+            self.shared.seek(self._place)
+            data = self.shared.read(len(target))
         target[: len(data)] = data
+        self._place += len(data)
         return len(data)
-
-    def close(self) -> None:
-        if not self.closed:
-            self._file.close()
-        super().close()
 
 
 def list_clouds(url: str, suffixes: tuple[str, ...]) -> list[Path]:

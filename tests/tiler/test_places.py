@@ -48,6 +48,17 @@ def test_any_part_of_an_object_is_read(folder: str) -> None:
         assert buffer == bytes((0, 1, 2, 3))
 
 
+def test_two_views_of_an_object_have_places_of_their_own(folder: str) -> None:
+    path = places.cloud_path(f"{folder}/a.laz")
+    with places.open_cloud(path, 100) as stream, places.second_view(stream, path) as other:
+        assert stream.seek(210) == 210
+        assert other.read(2) == bytes((0, 1))
+        assert stream.read(2) == bytes((10, 11))
+        stream.seek(-1, 2)
+        assert stream.read() == bytes((199,))
+        assert (other.tell(), stream.tell()) == (2, 600)
+
+
 def test_what_is_written_into_a_url_appears_when_it_is_whole(folder: str) -> None:
     with places.folder_for(f"{folder}/out") as scratch:
         (scratch / "x.tif").write_bytes(b"whole")

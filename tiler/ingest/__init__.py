@@ -2,7 +2,7 @@
 
 `spool_piece` decodes a piece of one file, puts it in the frame, sorts it by bucket and spools it;
 `assemble_buckets` gathers the fragments of a bucket, finds duplicates and puts the candidates first.
-Before them, in one process: `find_inputs`, `inspect`, `agree`, `pieces`.
+Before them, for the plan: `find_inputs`, `inspect` (several files at a time), `agree`, `pieces`.
 """
 
 from tiler.ingest.assemble import assemble_buckets

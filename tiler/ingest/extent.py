@@ -17,6 +17,8 @@ from tiler.las.reader import COORDINATES, PointReader, Records, rows_at_once
 _PLACES = 16
 _SAMPLE = 2048
 _SCAN = 1 << 19
+_BLOCK_BYTES = 1 << 19
+"""Of an object: about what a chunk's coordinates take."""
 _WIDEST = 1e6
 """Units of a credible extent: from anywhere within it, int32 counts reach all of it."""
 _COORDINATE = 9e12
@@ -78,7 +80,7 @@ def find_extent(header: LasHeader) -> Extent:
     """
     if header.point_count == 0:
         return Extent(None, False)
-    with PointReader(header, COORDINATES) as reader:
+    with PointReader(header, COORDINATES, _BLOCK_BYTES) as reader:
         last = header.point_count - 1
         starts = sorted({_chunk_start(header, last * i // (_PLACES - 1)) for i in range(_PLACES)})
         sample = [reader.read(s, min(_SAMPLE, header.point_count - s)) for s in starts]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -132,10 +133,17 @@ def _from_wkt(header: LasHeader, notes: list[str]) -> Georeference | None:
             notes.append("its WKT record is empty")
             continue
         try:
-            return describe(CRS.from_wkt(text), notes)
+            found = _described(text)
+            return replace(found, notes=(*notes, *found.notes))
         except CRSError as error:
             notes.append(f"its WKT cannot be read ({' '.join(str(error).split())[:120]})")
     return None
+
+
+@lru_cache(maxsize=64)
+def _described(wkt: str) -> Georeference:
+    """The files of a delivery have the same text, and to parse it takes as long as to read some of their points."""
+    return describe(CRS.from_wkt(wkt))
 
 
 def _from_keys(header: LasHeader, notes: list[str]) -> Georeference | None:

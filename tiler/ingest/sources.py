@@ -18,6 +18,7 @@ from tiler.ingest.georeference import Georeference, georeference
 from tiler.ingest.patches import Patch
 from tiler.las.columns import RGB_FORMATS
 from tiler.las.headers import read_header
+from tiler.las.laz import LazLayout
 from tiler.las.reader import count_decodable, rows_at_once
 from tiler.places import is_url, list_clouds, stat_cloud
 from tiler.schedule.guard import Died, Guard
@@ -62,6 +63,8 @@ class SourceInfo:
         What people should know.
     patches : tuple of Patch
         How the points are spread, estimated from a few.
+    chunks : int, or tuple of int
+        Points of each chunk of a LAZ file, one number where all but the last have the same; 0 where there is none.
     """
 
     path: Path
@@ -83,6 +86,7 @@ class SourceInfo:
     returns: int
     notes: tuple[str, ...]
     patches: tuple[Patch, ...] = ()
+    chunks: int | tuple[int, ...] = 0
 
     def to_json(self) -> dict[str, Any]:
         """A JSON-able description."""
@@ -189,6 +193,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         salvaged=salvage and bool(header.notes), scales=header.scales, georeference=place, bounds=extent.bounds,
         claimed=extent.claimed, returns=extent.returns,
         notes=(*notes, *(place.notes if place.kind != "missing" else ())), patches=extent.patches,
+        chunks=_chunks(header.laz),
     )  # fmt: skip
 
 
@@ -229,16 +234,23 @@ def pieces(info: SourceInfo, size: int = 1_000_000) -> list[tuple[int, int]]:
     """
     if info.points == 0:
         return []
-    header = read_header(info.path, info.salvaged)
-    size = rows_at_once(header.record_length, size)
-    largest = rows_at_once(header.record_length, _LARGEST_CHUNK)
-    layout = header.laz
+    size = rows_at_once(info.record_length, size)
+    largest = rows_at_once(info.record_length, _LARGEST_CHUNK)
+    if isinstance(info.chunks, tuple):
+        return _whole_chunks(info.chunks, size, largest)
     step = size
-    if layout is not None and (layout.chunk_size is None or (layout.rebuilt and layout.counts.size)):
-        return _whole_chunks(layout.counts.tolist(), size, largest)
-    if layout is not None and layout.chunk_size is not None and layout.chunk_size <= largest:
-        step = max(size // layout.chunk_size, 1) * layout.chunk_size
+    if 0 < info.chunks <= largest:
+        step = max(size // info.chunks, 1) * info.chunks
     return [(start, min(step, info.points - start)) for start in range(0, info.points, step)]
+
+
+def _chunks(layout: LazLayout | None) -> int | tuple[int, ...]:
+    """`SourceInfo.chunks` of a file, so that its pieces are known without reading its header again."""
+    if layout is None:
+        return 0
+    if layout.chunk_size is None or (layout.rebuilt and layout.counts.size):
+        return tuple(layout.counts.tolist())
+    return layout.chunk_size
 
 
 def _whole_chunks(counts: Sequence[int], size: int, largest: int) -> list[tuple[int, int]]:

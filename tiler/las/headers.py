@@ -18,6 +18,8 @@ from tiler.las.laz import LazDamage, LazLayout, parse_laszip, read_table, walk_c
 from tiler.las.records import VariableRecord, walk_records
 from tiler.places import open_cloud, stat_cloud
 
+_BLOCK_BYTES = 1 << 18
+"""Of an object: what stands before the points, its chunk table, and a record seldom take more."""
 _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")
 _HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
@@ -112,7 +114,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
         stat = stat_cloud(path)
         if not S_ISREG(stat.st_mode):  # to open a pipe would wait for its other end
             refuse(path, "is no regular file", "name LAS or LAZ files")
-        with open_cloud(path) as stream:
+        with open_cloud(path, _BLOCK_BYTES) as stream:
             header = _fixed_block(path, stream, stat.st_size, stat.st_mtime_ns, salvage)
             header = _records(header, stream)
             if header.laz is None:
@@ -128,7 +130,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
 
 def read_payload(path: Path, record: VariableRecord, limit: int = 1 << 24) -> bytes:
     """What a record holds, at most ``limit`` bytes."""
-    with open_cloud(path) as stream:
+    with open_cloud(path, _BLOCK_BYTES) as stream:
         stream.seek(record.payload)
         return stream.read(min(record.length, limit))
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from tiler.errors import InputError
 from tiler.las.headers import AGAIN, LasHeader, refuse
 from tiler.las.laz import LazDamage, LazLayout, check_layers, is_panic
-from tiler.places import open_cloud
+from tiler.places import BLOCK_BYTES, open_cloud, second_view
 
 Records = npt.NDArray[np.void]
 
@@ -79,16 +79,18 @@ class PointReader:
     header : LasHeader
     selection : int
         Layers to decode (`NEEDED`, `EVERYTHING`, `COORDINATES`); only point formats 6 to 10 have layers.
+    block_bytes : int
+        Asked for at once, of a cloud at a URL.
     """
 
-    def __init__(self, header: LasHeader, selection: int = NEEDED) -> None:
+    def __init__(self, header: LasHeader, selection: int = NEEDED, block_bytes: int = BLOCK_BYTES) -> None:
         self.header = header
         self.dtype = record_dtype(header.point_format, header.record_length)
         self._selection = selection
         with decoding(header.path):
-            self._file: BinaryIO = open_cloud(header.path)  # closed by close()
+            self._file: BinaryIO = open_cloud(header.path, block_bytes)  # closed by close()
             # The decoder goes on where it left its file: checks of what comes next use another one.
-            self._probe: BinaryIO = open_cloud(header.path)
+            self._probe: BinaryIO = second_view(self._file, header.path)
         self._decoder: Any = None
         self._next = 0
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -26,8 +27,13 @@ from tiler.plan.memory import FINE_CELL_M, PlannedPass
 from tiler.plan.model import KEEP, Plan
 from tiler.plan.refuse import refuse, warnings_of
 from tiler.report import earlier_statistics
-from tiler.schedule import Guard
+from tiler.schedule import Guards
 from tiler.store import StoreMeta
+
+FILES_OF_A_READER = 16
+"""Inputs for which one more process is started: it takes as long to start as to look into so many."""
+FAR_READERS = 8
+"""Processes that look into objects at URLs: they wait for answers most of the time, whatever the number of cores."""
 
 
 def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None) -> Plan:
@@ -134,11 +140,15 @@ def _names(sources: Sequence[SourceInfo]) -> str:
 def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
     sources: list[SourceInfo] = []
     unreadable: list[tuple[str, str]] = []
-    with Guard() as guard:
-        look = inspect if config.in_process else partial(inspect_guarded, guard)
-        for path in paths:
+    with Guards(_readers(paths, config)) as guards:
+        looks: Iterable[Callable[[], SourceInfo]] = (
+            (partial(inspect, path, config.salvage) for path in paths)
+            if config.in_process
+            else guards.each(partial(inspect_guarded, salvage=config.salvage), paths)
+        )
+        for path, look in zip(paths, looks, strict=True):
             try:
-                sources.append(look(path, config.salvage))
+                sources.append(look())
             except InputError as error:
                 if config.on_error == "stop" or len(paths) == 1:
                     raise
@@ -146,6 +156,14 @@ def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceI
     if not sources:
         raise InputError(f"none of {len(paths)} inputs can be read; the first: {unreadable[0][1]}")
     return sources, unreadable
+
+
+def _readers(paths: Sequence[Path], config: RunConfig) -> int:
+    """How many processes look into the inputs: one more pays for its start where there are some files for it."""
+    far = sum(is_url(path) for path in paths)
+    workers = config.workers or psutil.cpu_count() or 1
+    near = min(workers, math.ceil((len(paths) - far) / FILES_OF_A_READER))
+    return max(near, min(FAR_READERS, math.ceil(far / FILES_OF_A_READER)), 1)
 
 
 def _own_halo(params: Any) -> float | None:

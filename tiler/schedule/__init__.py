@@ -5,12 +5,14 @@ from __future__ import annotations
 from tiler.schedule.guard import Died, Guard
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import TRIES, Executor, Limits, Look, Outcome, Perform, Task, Work, digest_of
+from tiler.schedule.together import Guards
 
 __all__ = [
     "TRIES",
     "Died",
     "Executor",
     "Guard",
+    "Guards",
     "Limits",
     "Look",
     "Outcome",

@@ -1,0 +1,51 @@
+"""Many files are looked into by several processes; the plan is that of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.tiler.conftest import MakeCloud
+from tiler.config import RunConfig
+from tiler.errors import InputError
+from tiler.places import cloud_path
+from tiler.plan import make_plan, plan_json
+from tiler.plan.make import FAR_READERS, FILES_OF_A_READER, _readers
+
+
+@pytest.fixture
+def folder(make_cloud: MakeCloud, tmp_path: Path) -> Path:
+    """Forty files, of which two are damaged, each in its own way."""
+    for i in range(40):
+        make_cloud(f"in/{i:02d}.las", n=20 + i, seed=i)
+    (tmp_path / "in/07.las").write_bytes(b"LASF")
+    whole = (tmp_path / "in/23.las").read_bytes()
+    (tmp_path / "in/23.las").write_bytes(whole[:-10])
+    return tmp_path / "in"
+
+
+def test_the_plan_is_the_same_with_any_number_of_readers(folder: Path) -> None:
+    found = []
+    for values in ({"in_process": True}, {"workers": 1}, {"workers": 3}):
+        plan = make_plan([str(folder)], RunConfig.from_mapping({"workers": 1, **values}))
+        found.append(({**plan_json(plan), "workers": None, "projected_seconds": None}, plan.sources))
+    assert found[0] == found[1] == found[2]
+    assert [Path(path).name for path, _ in found[0][0]["unreadable"]] == ["07.las", "23.las"]
+    assert [s.points for s in found[0][1]] == [20 + i for i in range(40) if i not in (7, 23)]
+
+
+def test_the_first_damaged_file_ends_a_strict_plan(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"07\.las: "):
+        make_plan([str(folder)], RunConfig.from_mapping({"workers": 3, "on_error": "stop"}))
+
+
+def test_a_reader_is_started_where_it_pays() -> None:
+    config = RunConfig(workers=4)
+    pytest.importorskip("upath")
+
+    def readers(near: int, far: int = 0) -> int:
+        return _readers([Path("x.las")] * near + [cloud_path("memory://x/y.las")] * far, config)
+
+    assert [readers(n) for n in (1, FILES_OF_A_READER, FILES_OF_A_READER + 1, 10_000)] == [1, 1, 2, 4]
+    assert [readers(0, n) for n in (1, FILES_OF_A_READER + 1, 10_000)] == [1, 2, FAR_READERS]

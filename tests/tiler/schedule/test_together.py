@@ -1,0 +1,64 @@
+"""Several children at a time: results in the order of the calls, whichever child is done first, crashes and all."""
+
+from __future__ import annotations
+
+import time
+
+import psutil
+
+from tests.tiler.schedule import calls
+from tiler.errors import InputError
+from tiler.schedule import Died, Guard, Guards
+from tiler.schedule.together import AHEAD
+
+SECONDS = 300.0
+
+
+def work(guard: Guard, item: int) -> int:
+    if item == 3:
+        return guard.call(calls.crash, seconds=SECONDS) or 0
+    if item == 5:
+        guard.call(calls.fail, "five", seconds=SECONDS)
+    if item % 4 == 0:
+        time.sleep(0.02)
+    return guard.call(calls.double, item, seconds=SECONDS)
+
+
+def test_results_and_errors_come_in_order() -> None:
+    found: list[object] = []
+    with Guards(2) as guards:
+        for result in guards.each(work, range(12)):
+            try:
+                found.append(result())
+            except (Died, InputError) as error:
+                found.append(str(error))
+    assert found == [0, 2, 4, "crashed (SIGSEGV)", 8, "five", 12, 14, 16, 18, 20, 22]
+
+
+def test_few_calls_are_begun_before_the_first_is_taken() -> None:
+    begun = []
+
+    def note(guard: Guard, item: int) -> int:
+        begun.append(item)
+        return item
+
+    with Guards(2) as guards:
+        results = guards.each(note, range(1000))
+        assert next(results)() == 0
+        assert len(begun) <= 2 * AHEAD + 1
+        assert [result() for result in results] == list(range(1, 1000))
+
+
+def test_none_outlives_what_ends_early() -> None:
+    def hang(guard: Guard, item: int) -> None:
+        guard.call(calls.sleep, seconds=SECONDS)
+
+    with Guards(2) as guards:
+        next(guards.each(hang, range(100)))
+        while len(_children()) < 2:
+            time.sleep(0.01)
+    assert not _children()
+
+
+def _children() -> list[psutil.Process]:
+    return [c for c in psutil.Process().children() if "tiler.schedule.guarded" in c.cmdline()]

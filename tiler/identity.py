@@ -1,0 +1,147 @@
+"""Which inputs a run has: each with a number that stays its own in the store, and the digest of its bytes.
+
+All bytes of a file are read once for its digest, by the workers, where the data are near; again only where its size,
+its time or the bytes before its points are others than before. So a file that was touched or copied is known again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from tiler.errors import InputError
+from tiler.ingest import SourceInfo
+from tiler.job import Job
+from tiler.perform import compute
+from tiler.places import cloud_path, open_cloud
+from tiler.schedule import Task, digest_of
+from tiler.tasks import Source
+
+STAGE = "identify"
+GROUP_BYTES, GROUP_FILES = 32 << 20, 64
+"""Of small files that one task reads together."""
+SAVED_SECONDS = 10.0
+"""After which what is known is kept in the store, for a run that is killed on the way."""
+
+_PIECE_BYTES = 1 << 22
+
+
+def numbered(job: Job) -> list[Source]:
+    """The sources that hold points and can be read to their end; others are listed in ``job.quarantined``.
+
+    Raises
+    ------
+    InputError
+        One cannot be read, and there is no other or ``--on-error stop`` was said.
+    """
+    known: dict[str, dict[str, Any]] = job.store.get_state("sources") or {}
+    places = {str(info.path.resolve()): info for info in job.plan.sources}
+    todo = []
+    for place, info in places.items():
+        entry = known.setdefault(place, {"number": len(known)})
+        if job.plan.config.verify or entry.get("stamp") != _stamp(info):
+            todo.append((place, info))
+    unreadable = _identify(job, known, todo)
+    job.store.put_state("sources", known)
+    _leave_out(job, unreadable)
+    return [
+        Source(info, known[place]["number"], known[place]["content"])
+        for place, info in places.items()
+        if info.points and place not in unreadable
+    ]
+
+
+def _stamp(info: SourceInfo) -> list[Any]:
+    return [info.size, info.mtime_ns, info.digest]
+
+
+def _identify(
+    job: Job, known: dict[str, dict[str, Any]], todo: list[tuple[str, SourceInfo]]
+) -> dict[str, str]:
+    """Have the workers read files, and keep what they find; path -> reason of those that cannot be read."""
+    stamps, unreadable = {place: _stamp(info) for place, info in todo}, {}
+    tasks = list(_tasks(todo))
+    if not tasks:
+        return {}
+    points, start = sum(task.points for task in tasks), time.monotonic()
+    job.listener("stage_started", {"stage": STAGE, "tasks": len(tasks), "done": 0, "points": points})
+    saved = start
+    for outcome in job.crew.executor().run(compute, job.store.url, tasks):
+        if outcome.again:
+            continue
+        task = outcome.task
+        job.listener("task_done", {"stage": STAGE, "key": task.key, "points": task.points,
+                                   "seconds": round(outcome.seconds, 3), "peak_rss_bytes": 0})  # fmt: skip
+        found: dict[str, dict[str, str]] = outcome.record or {}
+        for place, _ in task.arguments["files"]:
+            result = found.get(
+                place, {"error": f"{place}: what reads it {outcome.error}; get the file again"}
+            )
+            if "content" in result:
+                known[place] |= {"stamp": stamps[place], "content": result["content"]}
+            else:
+                unreadable[place] = result["error"]
+        if time.monotonic() - saved > SAVED_SECONDS:
+            job.store.put_state("sources", known)
+            saved = time.monotonic()
+    seconds = round(time.monotonic() - start, 3)
+    job.listener("stage_finished", {"stage": STAGE, "seconds": seconds})
+    return unreadable
+
+
+def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
+    for place, reason in sorted(unreadable.items()):
+        if job.plan.config.on_error == "stop" or len(job.plan.sources) == 1:
+            raise InputError(reason)
+        job.quarantined.append({"path": place, "error": reason})
+        job.listener("warning", {"text": f"{place}: left out: {reason}"})
+    if len(unreadable) == len(job.plan.sources):
+        raise InputError(f"no input could be read; the first: {job.quarantined[0]['error']}")
+
+
+def _tasks(todo: Iterable[tuple[str, SourceInfo]]) -> Iterator[Task]:
+    """Large files alone, small ones together."""
+    group: list[tuple[str, SourceInfo]] = []
+    for place, info in todo:
+        if group and (len(group) == GROUP_FILES or sum(i.size for _, i in group) + info.size > GROUP_BYTES):
+            yield _task(group)
+            group = []
+        group.append((place, info))
+    if group:
+        yield _task(group)
+
+
+def _task(group: list[tuple[str, SourceInfo]]) -> Task:
+    files = [[place, info.size] for place, info in group]
+    digest = digest_of(files)
+    points = sum(info.points for _, info in group)
+    return Task(STAGE, digest, digest, read_files, {"files": files}, points)
+
+
+def read_files(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    """On a worker: place -> ``content``, or ``error``, of some files."""
+    found = {}
+    for place, size in arguments["files"]:
+        try:
+            found[place] = {"content": _content(place, size)}
+        except InputError as error:
+            found[place] = {"error": str(error)}
+    return found
+
+
+def _content(place: str, size: int) -> str:
+    """Digest of all bytes of a file; raises InputError."""
+    digest, held = hashlib.blake2b(digest_size=16), 0
+    try:
+        with open_cloud(cloud_path(place)) as stream:
+            while part := stream.read(_PIECE_BYTES):
+                digest.update(part)
+                held += len(part)
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{place}: cannot be read ({reason}); see to the disk and its rights") from error
+    if held != size:
+        raise InputError(f"{place}: {held:,} bytes, {size:,} when the run began; run again when it is whole")
+    return digest.hexdigest()
