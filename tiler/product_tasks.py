@@ -162,12 +162,18 @@ def _point_tasks(name: str, g: Gridding) -> Iterator[Task]:
     special, reach = _point_arguments(name, g)
     common = {"name": name, "spec": spec.to_json(), **ground_arguments(g.plan), **special}
     reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))
+    below = [special["terrain"]] if "terrain" in special else []
     for block in spec.blocks(GRID_BLOCK):
         near = _near(g, spec, block, reach)
         if not near:
             continue
         arguments = {**common, "block": _of_block(block)}
-        digest = digest_of(__version__, arguments, [[cell.ix, cell.iy, g.labels[cell]] for cell in near])
+        under = [
+            g.made[raster][block.name][1]["checksum"] for raster in below if block.name in g.made[raster]
+        ]
+        digest = digest_of(
+            __version__, arguments, [[cell.ix, cell.iy, g.labels[cell]] for cell in near], under
+        )
         points = sum(g.assembled.records[cell]["n"] for cell in near)
         yield Task(f"grid-{name}", block.name, digest, FROM_POINTS[name], arguments, points)
 
@@ -183,6 +189,7 @@ def _point_arguments(name: str, g: Gridding) -> tuple[dict[str, Any], int]:
         arguments = {
             "data": g.assembled.bounds().to_json(), "max_edge": str(limit), "reach": reach,
             "spike": str(plan.config.spike / frame.metres_z), "halo": math.ceil(frame.counts(plan.grid_halo)),
+            "terrain": final("dtm", plan.config),
         }  # fmt: skip
         return arguments, full_halo(limit) + math.ceil((reach + 1) * frame.counts(plan.resolution))
     return {}, 0

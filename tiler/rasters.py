@@ -18,6 +18,7 @@ from tiler.core.raster import RasterSpec
 from tiler.earlier import put_aside
 from tiler.errors import ProcessingError
 from tiler.file_tasks import cog_tasks, mosaic_tasks
+from tiler.grid import DEEP_M
 from tiler.job import Job
 from tiler.places import is_url, joined, size_at
 from tiler.plan import GRID_BLOCK, KEEP
@@ -39,6 +40,8 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
         if name == "dtm":
             _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
             _advise(job, gridding.spec)
+    if "dsm" in gridding.made:
+        _tell_of_surface(job, gridding.made["dsm"])
     if "mask" in gridding.made:
         _tell_of_mask(job, gridding.made["mask"])
     return gridding
@@ -88,6 +91,17 @@ def _advise(job: Job, spec: RasterSpec) -> None:
     job.facts["advice"] = found["texts"]
     for line in found["texts"]:
         job.listener("warning", {"text": line})
+
+
+def _tell_of_surface(job: Job, made: Mapping[str, Any]) -> None:
+    records = [record for _, record in made.values()]
+    totals = {key: sum(record[key] for record in records) for key in ("filled", "measured", "deep")}
+    job.facts["dsm"] = totals
+    if totals["deep"]:
+        job.note(
+            f"in {totals['deep']:,} pixels all returns lie more than {DEEP_M:g} m below the terrain (low noise, or "
+            "steep ground that was taken for it): the surface model has the terrain's height there"
+        )
 
 
 def _tell_of_mask(job: Job, made: Mapping[str, Any]) -> None:

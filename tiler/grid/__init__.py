@@ -5,11 +5,12 @@ from tiler.grid.density import density_block
 from tiler.grid.derived import derive_block
 from tiler.grid.distance import distance_block
 from tiler.grid.mask import mask_block
-from tiler.grid.surface import reach_pixels, surface_block
+from tiler.grid.surface import DEEP_M, reach_pixels, surface_block
 from tiler.grid.survey import occupancy_block, survey_raster
 from tiler.grid.voids import fill_block, find_voids
 
 __all__ = [
+    "DEEP_M",
     "SMALLEST_PART",
     "density_block",
     "derive_block",

@@ -76,7 +76,7 @@ def _slope(store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any
 
 
 def _ndsm(store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any]) -> Float64:
-    """Not clamped: where a slope falls within a pixel the highest return can lie below the height at its centre."""
+    """Nowhere negative, since the surface is not below the terrain, but over voids that were filled."""
     return _read(store, args["dsm"], block) - _read(store, args["dtm"], block)
 
 

@@ -1,4 +1,8 @@
-"""The surface model: the highest return of each pixel without spikes, and the TIN of these where a pixel has none."""
+"""The surface model: the highest return of each pixel without spikes, and the TIN of these where a pixel has none.
+
+It is never below the terrain. Returns that are lie under it by the slope within their pixel, or are low noise that the
+filter did not call so, or steep ground that it took for noise.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +24,10 @@ from tiler.grid.ground import surface_points
 from tiler.store import TileStore, open_store
 
 Int32 = npt.NDArray[np.int32]
+Heights = npt.NDArray[np.float32]
+
+DEEP_M = 1.0
+"""Returns that lie deeper below the terrain are counted."""
 
 
 def surface_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
@@ -28,30 +36,39 @@ def surface_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     All points but the withheld ones and noise (classes 7 and 18, by the input or by the filter) take part: water and
     bridges are surface. Spikes are left out as `HighestReturns.supported` says, among the pixels within ``reach``. A
     pixel with a return has its height; one without is interpolated on the TIN of the other pixels' returns
-    under the same limit as the terrain.
+    under the same limit as the terrain. No height is below the terrain's.
 
     Parameters
     ----------
     store_url : str
     args : dict
         As those of `grid_block` (``classes`` and ``thin_cell`` have no say), and ``spike``: vertical counts;
-        ``reach``: pixels.
+        ``reach``: pixels; ``terrain``: raster of the same pixels.
 
     Returns
     -------
     dict
-        ``pixels``, ``filled``, ``measured`` (pixels with a return), ``marked``, ``tries``, ``halo``; ``checksum``.
+        ``pixels``, ``filled``, ``measured`` (pixels with a return), ``marked``, ``tries``, ``halo``; ``deep``: measured
+        pixels whose returns all lie more than `DEEP_M` below the terrain; ``checksum``.
     """
     store, job = open_store(store_url), read_job(args)
-    heights, record = surface_heights(store, job, args)
+    heights, measured, record = surface_heights(store, job, args)
+    deep_m = DEEP_M / float(store.meta.frame.units.vertical)
+    heights, deep = above_terrain(heights, store.read_block(args["terrain"], job.block), deep_m)
     store.write_block(args["name"], job.block, heights)
-    return {**record, "checksum": checksum(heights)}
+    return {**record, "deep": int(np.count_nonzero(deep & measured)), "checksum": checksum(heights)}
+
+
+def above_terrain(heights: Heights, terrain: Heights, deep: float) -> tuple[Heights, npt.NDArray[np.bool_]]:
+    """Heights nowhere below the terrain where both are known, and where they were by more than ``deep``."""
+    both = (heights != np.float32(NODATA)) & (terrain != np.float32(NODATA))
+    return np.where(both, np.maximum(heights, terrain), heights), both & (terrain - heights > deep)
 
 
 def surface_heights(
     store: TileStore, job: GridJob, args: dict[str, Any]
-) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
-    """Heights of any block, and the record but for the checksum; see `surface_block`."""
+) -> tuple[Heights, npt.NDArray[np.bool_], dict[str, Any]]:
+    """Heights of any block whatever the terrain, where they are measured, and the record; see `surface_block`."""
     block, bounds, limit = job.block, job.spec.block_bounds(job.block), full_halo(job.max_edge)
     own = _returns(store, job, block, args)
     measured = own[..., 2] != NOTHING
@@ -69,7 +86,7 @@ def surface_heights(
             break
         tries += 1
     filled = int(np.count_nonzero(heights != np.float32(NODATA)))
-    return heights, {
+    return heights, measured, {
         "pixels": heights.size, "filled": filled, "measured": int(measured.sum()), "marked": marked, "tries": tries,
         "halo": halo,
     }  # fmt: skip

@@ -18,7 +18,7 @@ from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid.block import read_job
 from tiler.grid.distance import distance_block
-from tiler.grid.surface import surface_heights
+from tiler.grid.surface import above_terrain, surface_block, surface_heights
 
 PIXEL = Fraction(2000)
 
@@ -32,7 +32,7 @@ def dsm(scene: Scene, block: int = 512, **options: Any) -> tuple[np.ndarray, lis
     heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
     for b in spec.blocks(block):
         args = {**arguments, "block": [b.row, b.col, b.height, b.width]}
-        part, record = surface_heights(scene.store, read_job(args), args)
+        part, _, record = surface_heights(scene.store, read_job(args), args)
         heights[b.row : b.row + b.height, b.col : b.col + b.width] = part
         records.append(record)
     return heights, records
@@ -89,6 +89,44 @@ def test_blocks_do_not_show(make_scene, shape) -> None:
         assert sum(r["marked"] for r in records) == 0
     other, _ = dsm(make_scene(xyz[::-1], frame=CoordFrame(origin=(-5_000, 70_001)), bucket=23_000), 25)
     assert other.tobytes() == whole.tobytes()
+
+
+def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
+    """A steep plane, and blunders below it that nobody called noise, each alone in its pixel but for two."""
+    xyz = scattered(8_000, 120_000)
+    xyz[:, 2] = xyz[:, 0]
+    labels = np.full(len(xyz), 2, np.uint8)
+    pixels, first, counts = np.unique(xyz[:, :2] // 2000, axis=0, return_index=True, return_counts=True)
+    alone = first[(counts == 1) & (pixels > 1).all(axis=1) & (pixels < 58).all(axis=1)][::40]
+    xyz[alone, 2] -= 30_000
+    labels[alone] = 1
+    scene = make_scene(xyz, labels)
+    spec = scene.grid_into_store("dtm", PIXEL)
+    scene.store.create_raster("dsm", spec.height, spec.width)
+    (block,) = spec.blocks(512)
+    record = surface_block(scene.store.url, {
+        "name": "dsm", "terrain": "dtm", "spec": spec.to_json(), "data": scene.data.to_json(), "labels": "final",
+        "max_edge": "50000", "halo": 0, "reach": 1, "spike": "5000",
+        "block": [block.row, block.col, block.height, block.width],
+    })  # fmt: skip
+    surface, terrain = scene.store.read_block("dsm", block), scene.store.read_block("dtm", block)
+    both = (surface != np.float32(NODATA)) & (terrain != np.float32(NODATA))
+    assert both.mean() > 0.9
+    assert (surface[both] >= terrain[both]).all()
+    plain, _ = dsm(scene)
+    assert (plain[both] < terrain[both] - 0.5).sum() > len(
+        alone
+    )  # also of ground at the lower side of its pixel
+    assert record["deep"] == len(alone) > 10
+    deepest = plain[both] < terrain[both] - 20
+    assert deepest.sum() == len(alone)
+
+
+def test_only_known_heights_are_held_against_the_terrain() -> None:
+    none = np.float32(NODATA)
+    surface, deep = above_terrain(np.float32([5, 5, none, none, 5]), np.float32([4, 7, 3, none, none]), 1.0)
+    assert surface.tolist() == [5, 7, none, none, 5]
+    assert deep.tolist() == [False, True, False, False, False]
 
 
 @pytest.mark.parametrize("shape", [void, islands], ids=["void", "islands"])
