@@ -16,7 +16,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 SETTINGS = {spec.name: spec for spec in dataclasses.fields(RunConfig)}
 
 _METAVARS = {"length": "LENGTH", "bytes": "SIZE", "classes": "N,N,...", "names": "NAME,...", "pairs": "NAME=VALUE",
-             "bounds": "X0 Y0 X1 Y1", "int": "N", "preset": "NAME", "nodata": "VALUE"}  # fmt: skip
+             "bounds": "X0 Y0 X1 Y1", "int": "N", "preset": "NAME", "nodata": "VALUE",
+             "file": "FILE"}  # fmt: skip
 
 
 def config_options(only: Collection[str] | None = None) -> Callable[[Command], Command]:

@@ -91,8 +91,11 @@ class RunConfig:
         None, "units of the coordinates, h or h,v (m, ft, usft); default: those of the CRS"
     )
     bounds: tuple[float, float, float, float] | None = setting(None, "only this part: X0 Y0 X1 Y1 in CRS units; "
+                                                               "what lies around it is read as far as it matters; "
                                                                "default: everything",
                                                                kind="bounds")  # fmt: skip
+    aoi: str | None = setting(None, "only the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; as --bounds; "
+                              "default: everything", kind="file")  # fmt: skip
     keep_classes: tuple[int, ...] = setting((7, 9, 17, 18), "classes that take no part in filtering and are "
                                             "never overwritten; `none`: the filter sees no class of the input, as a "
                                             "fair test on labelled clouds needs", kind="classes")  # fmt: skip

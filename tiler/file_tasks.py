@@ -17,6 +17,7 @@ from tiler.places import joined
 from tiler.plan import Plan
 from tiler.product_tasks import Gridding, checksums, exported, final
 from tiler.schedule import Task, digest_of
+from tiler.tasks import area_key
 
 
 def cog_tasks(g: Gridding, inputs: str, out: str) -> Iterator[Task]:
@@ -25,13 +26,13 @@ def cog_tasks(g: Gridding, inputs: str, out: str) -> Iterator[Task]:
         raster = final(name, g.plan.config)
         common: dict[str, Any] = {
             "raster": raster, "product": name, "compress": g.plan.config.compress, "tags": _tags(g.plan, inputs),
-            **_nodata(g.plan, name),
+            "area": area_key(g.plan), "fill": g.fill_of(raster), **_nodata(g.plan, name),
         }  # fmt: skip
         blocks = checksums(g.made[raster])
         if g.plan.config.sheets is None:
             files = [({**common, "name": name, "spec": g.spec.to_json(), "out": out}, g.spec)]
         else:
-            whole = {"whole": g.spec.to_json(), "fill": g.fill_of(raster), "out": joined(out, name)}
+            whole = {"whole": g.spec.to_json(), "out": joined(out, name)}
             files = [
                 ({**common, **whole, "name": f"{name}_{place}", "spec": spec.to_json()}, spec)
                 for place, spec in sheets(g)
@@ -62,6 +63,8 @@ def sheets(g: Gridding) -> list[tuple[str, RasterSpec]]:
     side = int(lattice.size / spec.lattice.size)
     filled = [Bounds.from_json(r["bounds"]) for r in g.assembled.records.values() if r["bounds"]]
     cells = sorted({cell for bounds in filled for cell in lattice.cells(bounds)})
+    if g.plan.area is not None:
+        cells = [cell for cell in cells if g.plan.area.touches(lattice.bounds(cell))]
     return [
         (
             "_".join(_place(i * lattice.size) for i in (cell.ix, cell.iy)),

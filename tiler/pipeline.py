@@ -158,6 +158,8 @@ def _healing_stages(job: Job, until: str) -> None:
 
 def _stages(job: Job, until: str) -> None:
     """The order of things."""
+    if job.plan.area is not None:
+        job.store.put_area(job.plan.area)
     sources = numbered(job)
     spooled, sources = spool(job, sources)
     assembled = assemble(job, sources, spooled)

@@ -34,7 +34,7 @@ from tiler.grid import (
 from tiler.plan import GRID_BLOCK, Plan
 from tiler.schedule import Task, Work, digest_of
 from tiler.store import Commits
-from tiler.tasks import Assembled, grid_tasks, ground_arguments, raster_spec
+from tiler.tasks import Assembled, area_key, grid_tasks, ground_arguments, raster_spec
 
 MODELS = ("dtm", "dsm")
 """Products whose voids can be filled."""
@@ -244,7 +244,7 @@ def _mask_tasks(g: Gridding) -> Iterator[Task]:
     spec, heights = g.spec, final("dtm", g.plan.config)
     common = {
         "name": "mask", "spec": spec.to_json(), "dtm": "dtm", "filled": heights, "survey": "survey",
-        "coarse": g.coarse.to_json(), **ground_arguments(g.plan),
+        "coarse": g.coarse.to_json(), "area": area_key(g.plan), **ground_arguments(g.plan),
     }  # fmt: skip
     survey = checksums(g.made["survey"])
     erode = math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))

@@ -25,7 +25,7 @@ from tiler.plan import GRID_BLOCK, KEEP
 from tiler.product_tasks import WHOLE, Gridding, raster_tasks, wanted
 from tiler.schedule import Task, digest_of
 from tiler.store import Commits
-from tiler.tasks import Assembled, Source, classified_tasks
+from tiler.tasks import Assembled, Source, area_key, classified_tasks
 
 RASTERS = (".tif", ".vrt")
 """Files of rasters among what is written; their tasks have the names of the files as keys."""
@@ -141,6 +141,10 @@ def export(
     rasters = _write(job, "export", tasks, out)
     if mosaics or job.store.committed("mosaic"):
         rasters &= _write(job, "mosaic", mosaics, out)
+    if gridding.plan.area is not None:
+        made = job.store.committed("export")
+        terrain = [task.key for task in tasks if task.arguments.get("product") == "dtm"]
+        job.facts["dtm"]["filled"] = sum(made[key][1]["valid"] for key in terrain if key in made)
     job.facts["made_of"] |= {path: basis for key, path in written.items() if key.endswith(RASTERS)}
     job.facts["earlier_outputs"] = {}
     if not rasters:
@@ -151,7 +155,7 @@ def _basis(gridding: Gridding) -> str:
     """What the products are made of: points, labels, and settings that more than their files' form depends on."""
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
-    return digest_of(terrain, config.voids, str(config.spike), str(config.sheets))
+    return digest_of(terrain, config.voids, str(config.spike), str(config.sheets), area_key(gridding.plan))
 
 
 def _files(tasks: list[Task]) -> dict[str, str]:

@@ -76,20 +76,19 @@ def skip_flags(plan: Plan) -> int:
 
 def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
     """One for each piece of a source."""
-    limits = None if plan.limits is None else plan.limits.to_json()
     for source in sources:
+        wanted = plan.buckets_of(source.info)
         claimed = claimed_bounds(source.info)
         extent = None if claimed is None else claimed.to_json()
         for start, count in pieces(source.info, PIECE_POINTS):
             key = f"{source.name}-{start:012d}"
+            identity = digest_of(source.identity, source.number, start, count, extent, plan.meta.to_json())
             arguments = {
                 "path": str(source.info.path.resolve()), "source": source.number, "piece": key, "start": start,
-                "count": count, "bounds": limits, "salvage": plan.config.salvage, "extent": extent,
+                "count": count, "wanted": wanted, "salvage": plan.config.salvage, "extent": extent,
+                "identity": identity,
             }  # fmt: skip
-            digest = digest_of(
-                source.identity, source.number, start, count, limits, extent, plan.meta.to_json()
-            )
-            yield Task("spool", key, digest, spool_piece, arguments, count)
+            yield Task("spool", key, digest_of(identity, wanted), spool_piece, arguments, count)
 
 
 def by_source(spooled: Commits) -> dict[str, list[dict[str, Any]]]:
@@ -126,7 +125,7 @@ def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[i
     outside: dict[str, int] = defaultdict(int)
     for key, (_, record) in spooled.items():
         outside[source_of(key)] += record["outside"]
-        for ix, iy, count in record["buckets"]:
+        for ix, iy, count in record["buckets"] + record["left"]:  # a file is judged whole
             held[source_of(key)][Cell(ix, iy)] += count
     found = {}
     for source in sources:
@@ -158,10 +157,16 @@ def assemble_tasks(
     flags, keep = skip_flags(plan), list(plan.config.keep_classes)
     for group in sorted(groups):
         buckets = [bucket(c) for c in sorted(groups[group])]
-        parents = [spooled[piece][0] for piece in sorted({f[0] for c in groups[group] for f in fragments[c]})]
+        parents = [
+            spooled[piece][1]["identity"]
+            for piece in sorted({f[0] for c in groups[group] for f in fragments[c]})
+        ]
         points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
         arguments = {"buckets": buckets, "keep_classes": keep, "skip_flags": flags}
-        yield Task("assemble", group.name, digest_of(arguments, parents), assemble_buckets, arguments, points)
+        # In which rows of a piece the points lie depends on what else is wanted of it; which points they are does not.
+        content = [[ix, iy, [[f[0], f[2] - f[1]] for f in held], rest] for ix, iy, held, *rest in buckets]
+        digest = digest_of(content, keep, flags, parents)
+        yield Task("assemble", group.name, digest, assemble_buckets, arguments, points)
 
 
 @dataclass(frozen=True)
@@ -222,9 +227,17 @@ def label_digests(assembled: Assembled, filtered: Commits) -> dict[Cell, str]:
     return {cell: digest_of(given, assembled.digests[cell]) for cell, given in labels.items()}
 
 
+def area_key(plan: Plan) -> str | None:
+    """Name of the plan's area in the store; None where all is wanted."""
+    return None if plan.area is None else plan.area.key
+
+
 def raster_spec(plan: Plan, assembled: Assembled) -> RasterSpec:
-    """The one pixel grid of the run: all stored points, pixels on multiples of the resolution."""
-    return RasterSpec.covering(Lattice(plan.meta.frame.counts(plan.resolution)), assembled.bounds())
+    """The one pixel grid of the run: all stored points within the area, pixels on multiples of the resolution."""
+    extent = assembled.bounds()
+    if plan.area is not None:
+        extent = extent.intersection(plan.area.bounds)
+    return RasterSpec.covering(Lattice(plan.meta.frame.counts(plan.resolution)), extent)
 
 
 def ground_arguments(plan: Plan) -> dict[str, Any]:
@@ -279,10 +292,13 @@ def classified_tasks(
     for source in sources:
         touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]}
         cells = sorted(touched & labels.keys())  # a bucket whose task failed is not there
+        extent = claimed_bounds(source.info)
+        whole = plan.area is None or (extent is not None and plan.area.covers(extent))
         arguments = {
             "path": str(source.info.path.resolve()), "source": source.number,
             "out": joined(out, "classified", str(plan.names[source.info.path])), "labels": LABELS,
             "cells": [[c.ix, c.iy] for c in cells], "salvage": plan.config.salvage,
+            "area": None if whole else area_key(plan),
         }  # fmt: skip
         digest = digest_of(__version__, source.identity, arguments, [labels[c] for c in cells])
         yield Task("export", f"c{source.number:06d}", digest, write_classified, arguments, source.info.points)

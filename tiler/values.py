@@ -149,7 +149,7 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
         raise ConfigError(f"{spec.name} {value!r}: must be true or false")
     if kind == "choice" and value not in spec.metadata["choices"]:
         raise ConfigError(f"{spec.name} {value!r}: choose one of {', '.join(spec.metadata['choices'])}")
-    if kind in ("text", "choice", "preset") and not isinstance(value, str):
+    if kind in ("text", "choice", "preset", "file") and not isinstance(value, str):
         raise ConfigError(f"{spec.name} {value!r}: must be text")
     return value
 

@@ -14,8 +14,8 @@ from cli.session import TilerCommand, current_session
 from cli.summary import percent_text
 
 WITHOUT = (
-    "products", "sheets", "bounds", "store", "scheduler", "workers", "in_process", "task_seconds", "compress", "nodata",
-    "on_error", "verify", "overwrite", "clean_store", "voids",
+    "products", "sheets", "bounds", "aoi", "store", "scheduler", "workers", "in_process", "task_seconds",
+    "compress", "nodata", "on_error", "verify", "overwrite", "clean_store", "voids",
 )  # fmt: skip
 """Settings of a run that no preview has."""
 

@@ -16,7 +16,7 @@ from cli.summary import score_lines, summary_lines
 from tiler.config import RunConfig
 
 SUMMARY: dict[str, Any] = {
-    "inputs": [{}, {}], "counts": {"stored": 3_000_000, "dropped": {"outside --bounds": 12}}, "seconds": 90.0,
+    "inputs": [{}, {}], "counts": {"stored": 3_000_000, "dropped": {"outside the area": 12}}, "seconds": 90.0,
     "filter": {"ground": 2_000_000, "tiles": 6, "marked": 3}, "outputs": {"dtm.tif": 1000},
     "dtm": {"width": 1200, "height": 600, "resolution_m": 0.5}, "peak_rss_bytes": 300 << 20,
     "quarantined": [{"path": "bad.laz", "error": "bad.laz: cut short"}],

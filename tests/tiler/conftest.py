@@ -51,6 +51,9 @@ class MemoryStore:
     def read_bucket(self, cell: Cell, columns: tuple[str, ...] = ("xyz",)) -> PointBlock:
         return self.written[cell]
 
+    def area(self, key: str | None) -> None:
+        assert key is None
+
     def read_labels(self, name: str, cell: Cell) -> np.ndarray:
         return self.labels[name, cell]
 

@@ -1,8 +1,4 @@
-"""Checkpoints from CSV, GeoJSON and GeoPackage files.
-
-GeoJSON is JSON and a GeoPackage is an SQLite data base, so the standard library reads both; for other formats a
-vector library, which would bring a second GDAL along, does not earn its place: `ogr2ogr` converts them.
-"""
+"""Checkpoints from CSV, GeoJSON and GeoPackage files."""
 
 from __future__ import annotations
 
@@ -21,9 +17,6 @@ from tiler.errors import InputError
 
 NVA, VVA = "NVA", "VVA"
 """Non-vegetated and vegetated vertical accuracy."""
-
-GEOJSON_CRS = "EPSG:4326"
-"""Of RFC 7946, where a file does not name another."""
 
 _COLUMNS = {
     "x": ("x", "e", "east", "easting", "lon", "longitude", "long"),

@@ -35,6 +35,12 @@ class Bounds:
             min(self.x0, other.x0), min(self.y0, other.y0), max(self.x1, other.x1), max(self.y1, other.y1)
         )
 
+    def intersection(self, other: Bounds) -> Bounds:
+        """The bounds that lie in both; empty where none do."""
+        return Bounds(
+            max(self.x0, other.x0), max(self.y0, other.y0), min(self.x1, other.x1), min(self.y1, other.y1)
+        )
+
     def overlaps(self, other: Bounds) -> bool:
         """Some count lies in both."""
         return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1

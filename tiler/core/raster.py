@@ -6,6 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import NODATA as NODATA  # here for those that deal with rasters
 
@@ -68,6 +72,26 @@ class RasterSpec:
         first = self.lattice.first
         west, north = self.west + block.col, self.north - block.row
         return Bounds(first(west), first(north - block.height), first(west + block.width), first(north))
+
+    def centres(self, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Absolute counts, x and y, at the centres of the pixels of a block or next below, shape (height, width)."""
+        p, q = self.lattice.p, self.lattice.q
+        cols = np.arange(self.west + block.col, self.west + block.col + block.width, dtype=np.int64)
+        rows = np.arange(
+            self.north - block.row - 1, self.north - block.row - 1 - block.height, -1, dtype=np.int64
+        )
+        x, y = np.meshgrid(((2 * cols + 1) * p) // (2 * q), ((2 * rows + 1) * p) // (2 * q))
+        return x, y
+
+    def inside(self, block: Block, area: Area | None) -> npt.NDArray[np.bool_]:
+        """Mask of the pixels of a block whose centres lie in an area, shape (height, width); None: all."""
+        shape, bounds = (block.height, block.width), self.block_bounds(block)
+        if area is None or area.covers(bounds):
+            return np.ones(shape, np.bool_)
+        if not area.touches(bounds):
+            return np.zeros(shape, np.bool_)
+        x, y = self.centres(block)
+        return area.inside(x.ravel(), y.ravel()).reshape(shape)
 
     def transform(self, counts_per_unit: int) -> tuple[float, float, float, float, float, float]:
         """Affine coefficients (a, b, c, d, e, f), GDAL order of rasterio's ``Affine``, units of the CRS."""

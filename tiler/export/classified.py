@@ -17,6 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.area import Area
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
@@ -47,8 +48,8 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     args : dict
         ``path`` (str) and ``source`` (int) of the input; ``out`` (str, the final name, a path or URL); ``labels`` (str,
         the name of the final labels); ``cells`` ([[ix, iy], ...], the buckets that hold points of it);
-        ``salvage`` (bool).
-        A label of 0, and a point that the store does not hold, keep the source's class.
+        ``salvage`` (bool); ``area`` (str, key in the store, or None).
+        A label of 0, a point that the store does not hold and one outside of the area keep the source's class.
 
     Returns
     -------
@@ -79,7 +80,8 @@ def _write(store: TileStore, header: LasHeader, args: dict[str, Any], out: Path)
         out.parent.mkdir(parents=True, exist_ok=True)
         with open_cloud(header.path) as source, open(partial, "w+b") as target:
             notes = _write_front(header, source, target)
-            record = _write_points(header, target, store, int(args["source"]), args["labels"], cells)
+            area = store.area(args.get("area"))
+            record = _write_points(header, target, store, int(args["source"]), args["labels"], cells, area)
             _write_back(header, source, target)
             target.flush()
             os.fsync(target.fileno())
@@ -154,7 +156,13 @@ def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
 
 
 def _write_points(
-    header: LasHeader, target: BinaryIO, store: TileStore, source: int, labels: str, cells: Sequence[Cell]
+    header: LasHeader,
+    target: BinaryIO,
+    store: TileStore,
+    source: int,
+    labels: str,
+    cells: Sequence[Cell],
+    area: Area | None,
 ) -> dict[str, Any]:
     """All records in their order with their new classes."""
     classes = np.zeros(256, dtype=np.int64)
@@ -166,7 +174,7 @@ def _write_points(
     with PointReader(header, EVERYTHING) as reader:
         for first in range(0, header.point_count, ROWS_AT_ONCE):
             last = min(first + ROWS_AT_ONCE, header.point_count)
-            found = collect_labels(store, source, labels, cells, first, last)
+            found = collect_labels(store, source, labels, cells, first, last, area)
             for start in range(first, last, step):
                 stop = min(start + step, last)
                 records = reader.read(start, stop - start)
@@ -201,16 +209,26 @@ def _channels(header: LasHeader, records: Records) -> set[int]:
 
 
 def collect_labels(
-    store: TileStore, source: int, labels: str, cells: Sequence[Cell], first: int, last: int
+    store: TileStore,
+    source: int,
+    labels: str,
+    cells: Sequence[Cell],
+    first: int,
+    last: int,
+    area: Area | None = None,
 ) -> npt.NDArray[np.uint8]:
-    """Final classes of the rows ``first`` to ``last`` of a source, uint8; 0 where the store has none."""
+    """Final classes of the rows ``first`` to ``last`` of a source, uint8; 0 where the store or the area has none."""
     found = np.zeros(last - first, dtype=np.uint8)
     for cell in cells:
-        origin = store.read_bucket(cell, columns=("origin",)).origin
-        if origin is None:
+        whole = area is None or area.covers(store.meta.bucket.bounds(cell))
+        block = store.read_bucket(cell, columns=("origin",) if whole else ("origin", "xyz"))
+        if block.origin is None:
             continue
-        sources, rows = unpack_origin(origin)
+        sources, rows = unpack_origin(block.origin)
         mine = (sources == source) & (rows >= first) & (rows < last)
+        if area is not None and not whole:
+            x, y = (block.xyz[axis].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
+            mine &= area.inside(x, y)
         if mine.any():
             found[rows[mine] - first] = store.read_labels(labels, cell)[mine] & ~np.uint8(_MARK)
     return found

@@ -81,7 +81,8 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         type and looks (default: dtm). ``spec``: `RasterSpec` as JSON. ``out``: folder that exists, or a URL.
         ``compress``: ``deflate`` or ``zstd``. ``tags``: mapping of str to str, the provenance (TILER_VERSION,
         TILER_METHOD, TILER_PARAMETERS, TILER_INPUTS). For a sheet ``whole``: `RasterSpec` of the raster in the store
-        as JSON, ``spec`` being the sheet's; ``fill``: value beyond it. ``nodata``: of the file (default: that of
+        as JSON, ``spec`` being the sheet's. ``area``: key in the store of the area that is wanted, or None.
+        ``fill``: value beyond raster and area. ``nodata``: of the file (default: that of
         the store).
 
     Returns
@@ -134,10 +135,12 @@ def _product(args: dict[str, Any]) -> Product:
 def _write_plain(store: TileStore, spec: RasterSpec, args: dict[str, Any], path: Path) -> Statistics:
     """Copy the raster block by block, row by row from the north-west."""
     statistics, nodata = Statistics(), PRODUCTS[args.get("product", "dtm")].nodata
-    look = raster_look(store.meta.frame, args)
+    look, area = raster_look(store.meta.frame, args), store.area(args.get("area"))
     with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
         for block in spec.blocks(TILE):
             values = _read(store, spec, args, block)
+            if area is not None:
+                values = np.where(spec.inside(block, area), values, np.float32(args["fill"]))
             statistics = statistics.merged(values, nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
                 if look.nodata != nodata:

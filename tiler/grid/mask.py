@@ -32,7 +32,7 @@ def mask_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``name``, ``spec``, ``block``, ``labels``, ``classes``, ``skip_flags``: as those of `grid_block`. ``dtm``,
         ``filled``: rasters of heights within the limit, and of those after filling (the same where nothing
         is). ``survey``, ``coarse``: raster of the survey, and its `RasterSpec` as JSON. ``holes``: `Bounds` as JSON
-        of tiles that failed.
+        of tiles that failed. ``area``: key of the area in the store, or None; outside of it all is outside.
 
     Returns
     -------
@@ -50,6 +50,7 @@ def mask_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ).astype(np.float32)
     for hole in args.get("holes", ()):
         mask[_within(Bounds.from_json(hole), spec, block)] = HOLE
+    mask[~spec.inside(block, store.area(args.get("area")))] = OUTSIDE
     store.write_block(args["name"], block, mask)
     return {
         "pixels": mask.size,

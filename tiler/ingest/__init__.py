@@ -6,7 +6,7 @@ Before them, for the plan: `find_inputs`, `inspect` (several files at a time), `
 """
 
 from tiler.ingest.assemble import assemble_buckets
-from tiler.ingest.georeference import Agreement, Georeference, agree
+from tiler.ingest.georeference import Agreement, Georeference, agree, same_horizontal, split
 from tiler.ingest.patches import Patch
 from tiler.ingest.requantise import bounds_in_counts
 from tiler.ingest.sources import (
@@ -37,5 +37,7 @@ __all__ = [
     "inspect_guarded",
     "pieces",
     "read_guarded",
+    "same_horizontal",
+    "split",
     "spool_piece",
 ]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.area import Runs, in_runs
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
@@ -19,7 +20,7 @@ from tiler.store import open_store
 
 NOT_FINITE = "not finite"
 BEYOND_FRAME = "beyond the frame"
-OUTSIDE_BOUNDS = "outside --bounds"
+OUTSIDE_AREA = "outside the area"
 
 _RADIX_KEYS = 1 << 16
 
@@ -32,15 +33,17 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     store_url : str
     args : dict
         ``path`` (str), ``source`` (int, its id in this run), ``piece`` (str, name in the spool), ``start``
-        and ``count`` (records), ``bounds`` ([x0, y0, x1, y1] in absolute counts, or None), ``salvage``;
-        ``extent`` (as bounds: what the header says, or None).
+        and ``count`` (records), ``wanted`` (the buckets whose points are stored, see `Area.cells`; None: all),
+        ``salvage``; ``extent`` ([x0, y0, x1, y1] in absolute counts: what the header says, or None); ``identity``
+        (of the piece, whatever is wanted of it).
 
     Returns
     -------
     dict
-        ``read``, ``stored``, ``outside`` (of those, outside of ``extent``), ``dropped`` (reason to number),
-        ``largest_rounding`` (CRS units), ``buckets`` ([[ix, iy, number], ...] in the order of the piece), ``bounds``
-        (half-open absolute counts, or None), ``z`` ([lowest, highest] in counts, or None).
+        ``read``, ``stored``, ``outside`` (usable points outside of ``extent``), ``dropped`` (reason to number),
+        ``largest_rounding`` (CRS units), ``buckets`` ([[ix, iy, number], ...] in the order of the piece), ``left`` (the
+        same of buckets that are not wanted), ``bounds`` (half-open absolute counts, or None), ``z`` ([lowest, highest]
+        in counts, or None), ``identity``.
 
     Raises
     ------
@@ -52,17 +55,19 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     header = read_header(cloud_path(args["path"]), bool(args.get("salvage", False)))
     with PointReader(header, NEEDED) as reader:
         records = reader.read(int(args["start"]), int(args["count"]))
-    limits = None if args.get("bounds") is None else Bounds.from_json(args["bounds"])
-    local, keep, dropped, rounding = place(records, header, frame, limits)
+    local, keep, dropped, rounding = place(records, header, frame)
     block = columns(records, header, local, int(args["source"]), int(args["start"]), store.meta.has_rgb).take(
         keep
     )
+    claimed = args.get("extent")
+    outside = () if claimed is None else ~block.inside(Bounds.from_json(claimed), frame.origin)
     order, index = sort_by_bucket(block.xyz, frame, lattice)
+    order, index, left = _of_buckets(order, index, args.get("wanted"))
+    if left:
+        dropped[OUTSIDE_AREA] = sum(number for _, _, number in left)
     block = block.take(order)
     if len(block):
         store.write_piece(args["piece"], block, index)
-    claimed = args.get("extent")
-    outside = () if claimed is None else ~block.inside(Bounds.from_json(claimed), frame.origin)
     return {
         "read": len(records),
         "stored": len(block),
@@ -70,18 +75,19 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         "dropped": dropped,
         "largest_rounding": rounding,
         "buckets": [list(entry) for entry in index],
+        "left": [list(entry) for entry in left],
+        "identity": args.get("identity"),
         **extent(block, frame),
     }
 
 
 def place(
-    records: Records, header: LasHeader, frame: CoordFrame, limits: Bounds | None
+    records: Records, header: LasHeader, frame: CoordFrame
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], dict[str, int], float]:
     """Local counts (int32, shape (3, n)), mask of those to keep, dropped by reason, largest rounding."""
     local = np.zeros((3, len(records)), dtype=np.int32)
     finite = np.ones(len(records), dtype=np.bool_)
     framed = np.ones(len(records), dtype=np.bool_)
-    inside = np.ones(len(records), dtype=np.bool_)
     rounding = 0.0
     origins = (*frame.origin, 0)
     for axis, name in enumerate("XYZ"):
@@ -92,15 +98,11 @@ def place(
         fits = fits_int32(shifted)
         framed &= fits
         local[axis] = np.where(fits, shifted, 0)
-        if limits is not None and axis < 2:
-            low, high = ((limits.x0, limits.x1), (limits.y0, limits.y1))[axis]
-            inside &= (found.counts >= low) & (found.counts < high)
     reasons = {
         NOT_FINITE: int(np.count_nonzero(~finite)),
-        OUTSIDE_BOUNDS: int(np.count_nonzero(finite & ~inside)),
-        BEYOND_FRAME: int(np.count_nonzero(finite & inside & ~framed)),
+        BEYOND_FRAME: int(np.count_nonzero(finite & ~framed)),
     }
-    return local, finite & inside & framed, {k: v for k, v in reasons.items() if v}, rounding
+    return local, finite & framed, {k: v for k, v in reasons.items() if v}, rounding
 
 
 def columns(
@@ -142,6 +144,22 @@ def sort_by_bucket(
     return order, list(
         zip((cols + west).tolist(), (rows + south).tolist(), numbers[used].tolist(), strict=True)
     )
+
+
+Index = list[tuple[int, int, int]]
+
+
+def _of_buckets(
+    order: npt.NDArray[np.intp], index: Index, wanted: Runs | None
+) -> tuple[npt.NDArray[np.intp], Index, Index]:
+    """What `sort_by_bucket` gave, of the wanted buckets alone, and the index of the others."""
+    if wanted is None or not index:
+        return order, index, []
+    ix, iy, numbers = np.array(index, np.int64).T
+    mine = in_runs(wanted, ix, iy)
+    kept = [entry for entry, keep in zip(index, mine.tolist(), strict=True) if keep]
+    left = [entry for entry, keep in zip(index, mine.tolist(), strict=True) if not keep]
+    return order[np.repeat(mine, numbers)], kept, left
 
 
 def extent(block: PointBlock, frame: CoordFrame) -> dict[str, Any]:

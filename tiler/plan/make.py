@@ -19,9 +19,10 @@ from tiler.config import RunConfig
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import SourceInfo, agree, bounds_in_counts, find_inputs, inspect, inspect_guarded
+from tiler.ingest import SourceInfo, agree, find_inputs, inspect, inspect_guarded
 from tiler.places import cloud_path, is_url
 from tiler.plan import sizes
+from tiler.plan.area import area_of, part_of
 from tiler.plan.crowd import Crowd
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
 from tiler.plan.model import KEEP, Plan
@@ -64,12 +65,12 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
     if not filled:
         raise InputError(f"{_names(sources)}: hold no point; nothing to make a terrain of")
-    limits = None if config.bounds is None else bounds_in_counts(config.bounds)
+    area = area_of(config, agreement.wkt, notes)
     metres = float(agreement.units.horizontal)
-    extent, area = sizes.extent_of(filled, metres)
+    extent, covered = sizes.extent_of(filled, metres)
     frame = CoordFrame(agreement.units, sizes.origin_of(extent), agreement.wkt)
     points = sum(s.points for s in filled)
-    density, crowd = points / area, Crowd((patch for s in filled for patch in s.patches), metres)
+    density, crowd = points / covered, Crowd((patch for s in filled for patch in s.patches), metres)
     memory = config.memory or min(1 << 30, psutil.virtual_memory().total // (4 * (psutil.cpu_count() or 1)))
     meta = StoreMeta(
         frame=frame, bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, crowd, memory)))),
@@ -85,12 +86,13 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     warnings = warnings_of(filled, agreement.units, tile, [step.halo_m for step in passes])
     warnings += advice.before(filled, config, density, _own_halo(defaults))
     plan = Plan(
-        config, tuple(sources), tuple(unreadable), meta, limits, parameters,
+        config, tuple(sources), tuple(unreadable), meta, area, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
-        config.workers or psutil.cpu_count() or 1, cell, points, area, limits or extent, crowd, None,
+        config.workers or psutil.cpu_count() or 1, cell, points, covered, extent, crowd, None,
         output_names(inputs, sources), tuple(notes), tuple(warnings),
         None if config.statistics is None else earlier_statistics(Path(config.statistics), config.method, parameters),
     )  # fmt: skip
+    plan = part_of(plan)
     refuse(plan, out)
     return plan
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from tiler.config import RunConfig
+from tiler.core.area import Area, Runs
 from tiler.core.lattice import Bounds
 from tiler.grid import SMALLEST_PART
-from tiler.ingest import SourceInfo
+from tiler.ingest import SourceInfo, claimed_bounds
 from tiler.plan.crowd import Crowd
 from tiler.plan.memory import (
     BASE_BYTES,
@@ -46,9 +47,11 @@ class Plan:
     Attributes
     ----------
     sources : tuple of SourceInfo
-        That can be read, in the order of their names; with `unreadable` all that were named.
+        That can be read and come near the area, in the order of their names.
     unreadable : tuple of (str, str)
         Path and reason of each file that is left out.
+    area : Area or None
+        Of which products and labels are wanted; None: everywhere.
     memory : int
         That a worker may use.
     tile_memory : int
@@ -67,7 +70,7 @@ class Plan:
     sources: tuple[SourceInfo, ...]
     unreadable: tuple[tuple[str, str], ...]
     meta: StoreMeta
-    limits: Bounds | None
+    area: Area | None
     parameters: dict[str, Any]
     resolution: Fraction
     tile: Fraction
@@ -85,6 +88,23 @@ class Plan:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = field(default=())
     statistics: dict[str, Any] | None = None
+
+    @property
+    def margin(self) -> int:
+        """Counts around the area within which points are read.
+
+        The widest halo that a pass starts with, and what a facet at the edge can reach.
+        """
+        return math.ceil(self.meta.frame.counts(max(Fraction(self.halo_m), self.grid_halo)))
+
+    def buckets_of(self, source: SourceInfo) -> Runs | None:
+        """The buckets whose points of a source are read; None for all of them."""
+        if self.area is None:
+            return None
+        extent = claimed_bounds(source)
+        if extent is None:  # its points may be anywhere
+            extent = self.area.bounds.pad(self.margin)
+        return self.area.cells(self.meta.bucket, extent, self.margin)
 
     @property
     def density(self) -> float:

@@ -63,7 +63,7 @@ def _overlap(bounds: Sequence[Sequence[float]], metres: float, tile: float, halo
 
 
 def refuse(plan: Plan, out: Path | None) -> None:
-    """Raise ConfigError for settings that would fail on the way: memory, disk, resolution, bounds."""
+    """Raise ConfigError for settings that would fail on the way: memory, disk, resolution."""
     _refuse_memory(plan)
     pixel = plan.meta.frame.counts(plan.resolution)
     if pixel.denominator > MAX_DENOMINATOR:
@@ -77,8 +77,6 @@ def refuse(plan: Plan, out: Path | None) -> None:
             f"--sheets {float(sheets):g} m: no whole number of pixels of {float(plan.resolution):g} m; "
             f"use --sheets {float(max(round(sheets / plan.resolution), 1) * plan.resolution):g} or another --resolution"
         )
-    if plan.extent.empty:
-        raise ConfigError("--bounds: holds no place")
     if out is not None:
         _refuse_disk(plan, out)
 

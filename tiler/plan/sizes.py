@@ -27,14 +27,21 @@ def extent_of(sources: Sequence[SourceInfo], metres: float) -> tuple[Bounds, flo
         assert source.bounds is not None  # the caller's choice
         x0, y0, _, x1, y1, _ = source.bounds
         area += max(x1 - x0, 1.0) * max(y1 - y0, 1.0) * metres**2
-        low, high = (
-            (math.floor(v * COUNTS_PER_UNIT) for v in (x0, y0)),
-            (math.ceil(v * COUNTS_PER_UNIT) for v in (x1, y1)),
-        )
-        bounds = Bounds(*low, *(v + 1 for v in high))
+        bounds = bounds_of(source)
         union = bounds if union is None else union.union(bounds)
     assert union is not None  # at least one source
     return union, area
+
+
+def bounds_of(source: SourceInfo) -> Bounds:
+    """The bounds of a source that has points, in absolute counts."""
+    assert source.bounds is not None  # the caller's choice
+    x0, y0, _, x1, y1, _ = source.bounds
+    low, high = (
+        (math.floor(v * COUNTS_PER_UNIT) for v in (x0, y0)),
+        (math.ceil(v * COUNTS_PER_UNIT) + 1 for v in (x1, y1)),
+    )
+    return Bounds(*low, *high)
 
 
 def origin_of(extent: Bounds) -> tuple[int, int]:

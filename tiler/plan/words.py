@@ -21,7 +21,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "area_m2": plan.area_m2, "density_per_m2": plan.density, "crs": frame.crs_wkt,
         "units": {"horizontal": unit_label(frame.units.horizontal), "vertical": unit_label(frame.units.vertical)},
         "metres_per_unit": {"horizontal": float(frame.units.horizontal), "vertical": float(frame.units.vertical)},
-        "extent": [v / COUNTS_PER_UNIT for v in plan.extent.to_json()],
+        "area": _area_facts(plan), "extent": [v / COUNTS_PER_UNIT for v in plan.extent.to_json()],
         "method": plan.config.method, "parameters": plan.parameters, "passes": len(plan.passes),
         "halos_m": {step.name: step.halo_m for step in plan.passes},
         "resolution_m": float(plan.resolution), "tile_m": float(plan.tile), "bucket_m": plan.bucket_m,
@@ -65,6 +65,17 @@ def plan_lines(plan: Plan) -> list[str]:
         *(f"warning     {text}" for text in plan.warnings),
         *(f"left out    {path}: {reason}" for path, reason in plan.unreadable),
     ]
+
+
+def _area_facts(plan: Plan) -> dict[str, Any] | None:
+    """What part of the survey is wanted; None: all of it."""
+    if plan.area is None:
+        return None
+    return {
+        "file": plan.config.aoi, "polygons": len(plan.area.polygons),
+        "bounds": [v / COUNTS_PER_UNIT for v in plan.area.bounds.to_json()],
+        "margin_m": float(plan.margin / COUNTS_PER_UNIT * plan.meta.frame.units.horizontal),
+    }  # fmt: skip
 
 
 def _passes_in_words(passes: tuple[PlannedPass, ...]) -> str:

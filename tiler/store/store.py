@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
@@ -39,6 +40,7 @@ class TileStore:
         self._index: BucketIndex | None = None
         self._labels: dict[str, arrays.ZarrArray] = {}
         self._rasters: dict[str, arrays.ZarrArray] = {}
+        self._areas: dict[str, Area] = {}
 
     # --- commits and state
 
@@ -65,6 +67,21 @@ class TileStore:
     def put_state(self, name: str, value: Any) -> None:
         """Keep a JSON-able value under a name (*coordinator*)."""
         commits.put_state(self._storage, name, value)
+
+    def put_area(self, area: Area) -> None:
+        """Keep an area under its key."""
+        self.put_state(f"area-{area.key}", area.to_json())
+
+    def area(self, key: str | None) -> Area | None:
+        """The area kept under a key; None without a key. StoreError where it is gone."""
+        if key is None:
+            return None
+        if key not in self._areas:
+            found = self.get_state(f"area-{key}")
+            if found is None:
+                raise StoreError(f"area {key}: not in {self.url}; run again")
+            self._areas[key] = Area.from_json(found)
+        return self._areas[key]
 
     def get_state(self, name: str) -> Any:
         """The value kept under a name; None where there is none."""

@@ -14,7 +14,7 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.points import PointBlock, unpack_origin
 from tiler.ingest.sources import inspect, pieces
-from tiler.ingest.spool import BEYOND_FRAME, OUTSIDE_BOUNDS, sort_by_bucket, spool_piece
+from tiler.ingest.spool import BEYOND_FRAME, OUTSIDE_AREA, sort_by_bucket, spool_piece
 
 ORIGIN = (500_000_000, 5_400_000_000)
 
@@ -22,7 +22,7 @@ ORIGIN = (500_000_000, 5_400_000_000)
 def spool(store: Any, path: Any, source: int = 0, size: int = 10**6, **args: Any) -> list[dict[str, Any]]:
     return [
         spool_piece("memory", {"path": str(path), "source": source, "piece": f"s{source}p{k}", "start": start,
-                               "count": count, "bounds": None, **args})
+                               "count": count, "identity": "of k", **args})
         for k, (start, count) in enumerate(pieces(inspect(path), size))
     ]  # fmt: skip
 
@@ -95,22 +95,24 @@ def test_the_origin_of_the_frame_changes_nothing(make_cloud: Any, memory_store: 
 @given(data=st.data())
 def test_read_is_stored_and_dropped_by_reason(make_cloud_once: Any, data: st.DataObject) -> None:
     store, path, cloud = make_cloud_once
-    x0, y0 = data.draw(st.integers(497_000, 502_000)), data.draw(st.integers(5_398_000, 5_401_000))
-    width, height = data.draw(st.integers(1, 5000)), data.draw(st.integers(1, 5000))
+    x0, y0 = data.draw(st.integers(9_940, 10_040)), data.draw(st.integers(107_960, 108_020))
+    width, height = data.draw(st.integers(1, 100)), data.draw(st.integers(1, 100))
     shift = data.draw(st.sampled_from([0, 2**31 - 1, -(2**31)]))
-    limits = [x0 * 1000, y0 * 1000, (x0 + width) * 1000, (y0 + height) * 1000]
+    wanted = [[iy, x0, x0 + width] for iy in range(y0, y0 + height)]
     store.pieces.clear()
     store.meta.frame = CoordFrame(origin=(ORIGIN[0] + shift, ORIGIN[1]))
-    records = spool(store, path, bounds=limits)
-    inside = ((x0 - 500_000) * 100 <= cloud.X) & ((x0 + width - 500_000) * 100 > cloud.X)
-    inside &= ((y0 - 5_400_000) * 100 <= cloud.Y) & ((y0 + height - 5_400_000) * 100 > cloud.Y)
+    records = spool(store, path, wanted=wanted)
+    side = 5000  # cells of 50 m, in the file's units
+    inside = ((x0 - 10_000) * side <= cloud.X) & ((x0 + width - 10_000) * side > cloud.X)
+    inside &= ((y0 - 108_000) * side <= cloud.Y) & ((y0 + height - 108_000) * side > cloud.Y)
     framed = np.abs(cloud.X.astype(np.int64) * 10 - shift) < 2**31
     for record in records:
         assert record["read"] == record["stored"] + sum(record["dropped"].values())
         assert record["stored"] == sum(n for _, _, n in record["buckets"])
+        assert record["dropped"].get(OUTSIDE_AREA, 0) == sum(n for _, _, n in record["left"])
     assert sum(r["stored"] for r in records) == np.count_nonzero(inside & framed)
-    assert sum(r["dropped"].get(OUTSIDE_BOUNDS, 0) for r in records) == np.count_nonzero(~inside)
-    assert sum(r["dropped"].get(BEYOND_FRAME, 0) for r in records) == np.count_nonzero(inside & ~framed)
+    assert sum(r["dropped"].get(OUTSIDE_AREA, 0) for r in records) == np.count_nonzero(~inside & framed)
+    assert sum(r["dropped"].get(BEYOND_FRAME, 0) for r in records) == np.count_nonzero(~framed)
 
 
 @pytest.fixture(scope="module")
@@ -147,9 +149,11 @@ def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 def test_a_piece_without_points_writes_nothing(make_cloud: Any, memory_store: Any) -> None:
     memory_store.meta.frame = CoordFrame(origin=ORIGIN)
-    (record,) = spool(memory_store, make_cloud("a.las", n=10), bounds=[0, 0, 1, 1])
-    assert record == {"read": 10, "stored": 0, "outside": 0, "dropped": {OUTSIDE_BOUNDS: 10}, "largest_rounding": 0.0,
-                      "buckets": [], "bounds": None, "z": None}  # fmt: skip
+    (record,) = spool(memory_store, make_cloud("a.las", n=10), wanted=[])
+    left = record.pop("left")
+    assert sum(n for _, _, n in left) == 10
+    assert record == {"read": 10, "stored": 0, "outside": 0, "dropped": {OUTSIDE_AREA: 10}, "largest_rounding": 0.0,
+                      "buckets": [], "bounds": None, "z": None, "identity": "of k"}  # fmt: skip
     assert memory_store.pieces == {}
 
 

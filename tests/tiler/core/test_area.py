@@ -1,0 +1,133 @@
+"""Areas against exact fractions, place by place."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiler.core.area import LONGEST_EDGE, Area, in_runs, shortened
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.raster import Block, RasterSpec
+
+STAR = np.array([[0, 0], [1000, 100], [700, 900], [300, 400], [100, 950]], np.int64)
+HOLE = np.array([[300, 150], [500, 150], [400, 300], [300, 150]], np.int64)
+BESIDE = np.array([[1000, 100], [1400, 100], [1400, 900], [700, 900]], np.int64)
+
+
+def crossings(ring: np.ndarray, x: int, y: int) -> int:
+    """Edges that a ray to the east crosses, by definition."""
+    found = 0
+    for (ax, ay), (bx, by) in zip(ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True):
+        if (ay <= y) != (by <= y):
+            found += x < ax + Fraction((bx - ax) * (y - ay), by - ay)
+    return found
+
+
+def by_definition(area: Area, x: np.ndarray, y: np.ndarray) -> list[bool]:
+    return [
+        any(sum(crossings(ring, i, j) for ring in rings) % 2 == 1 for rings in area.polygons)
+        for i, j in zip(x.tolist(), y.tolist(), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("shift", [0, 32_500_000_123, -5_000_000_007])
+def test_inside_is_an_odd_number_of_crossings(shift: int) -> None:
+    area = Area(((STAR + shift, HOLE + shift), (BESIDE + shift,)))
+    x, y = np.random.default_rng(1).integers(-100, 1500, (2, 1500)) + shift
+    corners = np.concatenate([STAR, HOLE, BESIDE]) + shift
+    x, y = np.append(x, corners[:, 0]), np.append(y, corners[:, 1])
+    assert area.inside(x, y).tolist() == by_definition(area, x, y)
+    assert area.inside(x[:0], y[:0]).size == 0
+
+
+@given(st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=3, max_size=8), st.booleans())
+def test_any_ring_to_the_count(ring: list[tuple[int, int]], backwards: bool) -> None:
+    places = np.array(ring[:: -1 if backwards else 1], np.int64)
+    y, x = (grid.ravel() for grid in np.mgrid[-10:11, -10:11])
+    area = Area(((places,),))
+    assert area.inside(x, y).tolist() == by_definition(area, x, y)
+
+
+def test_neighbours_share_no_place_and_leave_none() -> None:
+    y, x = (grid.ravel() for grid in np.mgrid[0:1000:7, 0:1450:7])
+    corners = np.concatenate([STAR, BESIDE])
+    x, y = np.append(x, corners[:, 0]), np.append(y, corners[:, 1])
+    one, other = Area(((STAR,),)).inside(x, y), Area(((BESIDE,),)).inside(x, y)
+    assert not (one & other).any()
+    edge = np.array([[1000, 100], [700, 900]])
+    on = np.stack([edge[0] + (edge[1] - edge[0]) * k // 100 for k in range(1, 100)], axis=1)
+    both = Area(((STAR,),)).inside(*on).astype(int) + Area(((BESIDE,),)).inside(*on)
+    assert (both == 1).all()
+
+
+def test_a_rectangle_is_its_bounds() -> None:
+    bounds = Bounds(-3, 5, 4, 9)
+    y, x = (grid.ravel() for grid in np.mgrid[3:12, -6:8])
+    expected = (x >= -3) & (x < 4) & (y >= 5) & (y < 9)
+    area = Area.rectangle(bounds)
+    assert (area.inside(x, y) == expected).all()
+    assert area.bounds == bounds
+    far = Area.rectangle(Bounds(-(10**15), -(10**15), 10**15, 10**15))
+    assert far.inside(x, y).all()
+    assert far.covers(bounds)
+
+
+def test_what_is_stored_comes_back() -> None:
+    area = Area(((STAR, HOLE), (BESIDE,)))
+    again = Area.from_json(area.to_json())
+    assert again.to_json() == area.to_json()
+    assert again.bounds == area.bounds == Bounds(0, 0, 1400, 950)
+
+
+@pytest.mark.parametrize(("size", "margin"), [(37, 0), (37, 60), (Fraction(1000, 3), 5), (400, 1)])
+def test_cells_are_those_that_come_near(size: Fraction | int, margin: int) -> None:
+    lattice, area = Lattice(Fraction(size)), Area(((STAR, HOLE), (BESIDE + 900,)))
+    window = Bounds(-500, -400, 3000, 2500)
+    runs = area.cells(lattice, window, margin)
+    assert runs is not None
+    assert runs == sorted(runs)
+    cells = list(lattice.cells(window))
+    near = [area.touches(lattice.bounds(cell).pad(margin)) for cell in cells]
+    ix, iy = np.array([[c.ix, c.iy] for c in cells]).T
+    assert in_runs(runs, ix, iy).tolist() == near
+    assert sum(end - first for _, first, end in runs) == sum(near)
+    x, y = np.random.default_rng(2).integers(-100, 1500, (2, 500))
+    inside = area.inside(x, y)
+    assert in_runs(runs, lattice.index(x), lattice.index(y))[inside].all()
+
+
+def test_a_window_inside_needs_no_cells() -> None:
+    area = Area(((STAR, HOLE),))
+    assert area.cells(Lattice(Fraction(10)), Bounds(600, 400, 650, 450), 5) is None
+    assert area.cells(Lattice(Fraction(10)), Bounds(9000, 0, 9100, 50), 5) == []
+    assert not in_runs([], np.array([1]), np.array([2])).any()
+    assert area.covers(Bounds(600, 400, 650, 450))
+    assert not area.covers(Bounds(350, 140, 450, 200))
+    assert not area.touches(Bounds(380, 200, 420, 220))  # in the hole
+
+
+def test_long_edges_are_divided() -> None:
+    ring = np.array([[0, 0], [5 * LONGEST_EDGE, 7], [0, 3 * LONGEST_EDGE]], np.int64)
+    parts = shortened(ring)
+    steps = np.abs(np.roll(parts, -1, axis=0) - parts)
+    assert steps.max() <= LONGEST_EDGE
+    assert {tuple(p) for p in ring.tolist()} <= {tuple(p) for p in parts.tolist()}
+    assert shortened(STAR).tolist() == STAR.tolist()
+
+
+def test_pixels_are_inside_by_their_centres() -> None:
+    area = Area(((STAR,), (BESIDE,)))
+    spec = RasterSpec(Lattice(Fraction(100, 3)), -2, 31, 34, 45)
+    block = Block(3, 1, 29, 40)
+    rows, cols = np.mgrid[3:32, 1:41]
+    x = [[(2 * (c - 2) + 1) * 100 // 6 for c in row] for row in cols.tolist()]
+    y = [[(2 * (30 - r) + 1) * 100 // 6 for r in row] for row in rows.tolist()]
+    expected = by_definition(area, np.array(x).ravel(), np.array(y).ravel())
+    assert spec.inside(block, area).ravel().tolist() == expected
+    assert spec.inside(block, None).all()
+    assert not spec.inside(block, Area(((STAR + 10_000,),))).any()
+    assert spec.inside(block, Area.rectangle(Bounds(-9999, -9999, 9999, 9999))).all()
