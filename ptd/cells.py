@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -117,68 +119,89 @@ def occupied(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
     return found, slots[keys]
 
 
-class CellIndex:
-    """Points listed by cell, for searches among neighbours; memory grows with the points, not with the extent.
+class CellTable(NamedTuple):
+    """Points listed by cell, for kernels.
 
     Attributes
     ----------
+    slots : int32 [height * width] or int32 [0]
+        Index into `keys` by cell where a raster is affordable (-1: empty).
     keys : int64 [m]
         Sorted keys of the occupied cells, ``row * width + column``.
     starts : int64 [m + 1]
         Points of cell k are ``order[starts[k]:starts[k + 1]]``.
     order : int64 [n]
-    slots : int32 [height * width] or int32 [0]
-        Index into `keys` by cell where a raster is affordable (-1: empty).
+    width, height : int
+        Columns and rows that hold all points.
+    """
+
+    slots: Int32
+    keys: Int64
+    starts: Int64
+    order: Int64
+    width: int
+    height: int
+
+
+class CellIndex:
+    """Points listed by cell, for searches among neighbours; memory grows with the points, not with the extent.
+
+    Attributes
+    ----------
+    cells : Cells
+    col0, row0 : int
+        Column and row of the lattice with which the table begins.
+    table : CellTable
     """
 
     def __init__(self, x: Int32, y: Int32, cells: Cells) -> None:
         self.cells = cells
         self.col0, self.row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-        self.width = cells.column(int(x.max())) - self.col0 + 1
-        self.height = cells.row(int(y.max())) - self.row0 + 1
+        width = cells.column(int(x.max())) - self.col0 + 1
+        height = cells.row(int(y.max())) - self.row0 + 1
         c = cells
-        point_keys = cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, self.width)
+        point_keys = cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, width)
         ordered = bool((point_keys[1:] >= point_keys[:-1]).all())
-        self.order = np.arange(x.size) if ordered else np.argsort(point_keys, kind="stable")
-        self.keys, first = np.unique(point_keys[self.order], return_index=True)
-        self.starts = np.append(first, x.size).astype(np.int64)
-        n_cells = self.width * self.height
-        self.slots = np.zeros(0, np.int32)
-        if n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024:
-            self.slots = np.full(n_cells, -1, np.int32)
-            self.slots[self.keys] = np.arange(self.keys.size, dtype=np.int32)
+        order = np.arange(x.size) if ordered else np.argsort(point_keys, kind="stable")
+        keys, first = np.unique(point_keys[order], return_index=True)
+        slots = np.zeros(0, np.int32)
+        if width * height <= DENSE_CELLS_PER_POINT * x.size + 1024:
+            slots = np.full(width * height, -1, np.int32)
+            slots[keys] = np.arange(keys.size, dtype=np.int32)
+        self.table = CellTable(slots, keys, np.append(first, x.size).astype(np.int64), order, width, height)
+
+    def places(self, x: Int32, y: Int32) -> tuple[Int64, Int64]:
+        """Columns and rows of the table for local counts: int64 [n] each."""
+        columns, rows = self.cells.places(x, y)
+        return columns - self.col0, rows - self.row0
 
     def find(self, x: Int32, y: Int32) -> Int32:
-        """Index into `keys` of the cell of each of other points, -1 where it is not occupied: int32 [n]."""
+        """Index into the table's `keys` of the cell of each of other points, -1 where it is not occupied: int32 [n]."""
         c = self.cells
-        return _find(
-            x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, self.slots, self.keys, self.width,
-            self.height,
-        )  # fmt: skip
+        return _find(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, self.table)
 
 
 @kernel
-def slot_of(slots: Int32, keys: Int64, width: int, height: int, column: int, row: int) -> int:
-    """Index of a cell in a `CellIndex`, -1 if it is empty or beyond the raster."""
-    if column < 0 or row < 0 or column >= width or row >= height:
+def slot_of(table: CellTable, column: int, row: int) -> int:
+    """Index of a cell among the table's occupied ones, -1 if it is empty or beyond."""
+    if column < 0 or row < 0 or column >= table.width or row >= table.height:
         return -1
-    key = row * width + column
-    if slots.size > 0:
-        return int(slots[key])
-    k = np.searchsorted(keys, key)
-    return int(k) if k < keys.size and keys[k] == key else -1
+    key = row * table.width + column
+    if table.slots.size > 0:
+        return int(table.slots[key])
+    k = np.searchsorted(table.keys, key)
+    return int(k) if k < table.keys.size and table.keys[k] == key else -1
 
 
 @kernel
 def _find(
-    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, slots: Int32, keys: Int64,
-    width: int, height: int,
-) -> Int32:  # fmt: skip
+    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, table: CellTable
+) -> Int32:
     out = np.empty(x.size, np.int32)
     for i in range(x.size):
         column = ((wide(x[i]) + ox) * q) // p - col0
         row = ((wide(y[i]) + oy) * q) // p - row0
-        out[i] = slot_of(slots, keys, width, height, column, row)
+        out[i] = slot_of(table, column, row)
     return out
 
 

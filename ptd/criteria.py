@@ -17,6 +17,7 @@ from ptd.kernel import kernel
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.predicates import lexicographic_less
 
 UInt8 = npt.NDArray[np.uint8]
 
@@ -133,8 +134,8 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
     for v in corners[1:]:
         higher = vertices[4 * v + 2] > vertices[4 * top + 2]
         tie = vertices[4 * v + 2] == vertices[4 * top + 2]
-        left = vertices[4 * v] < vertices[4 * top] or (
-            vertices[4 * v] == vertices[4 * top] and vertices[4 * v + 1] < vertices[4 * top + 1]
+        left = lexicographic_less(
+            vertices[4 * v], vertices[4 * v + 1], vertices[4 * top], vertices[4 * top + 1]
         )
         if higher or (tie and left):
             top = v

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, slot_of
+from ptd.cells import CellIndex, CellTable, slot_of
 from ptd.frame import Cells
 from ptd.kernel import kernel, wide
 
@@ -18,18 +18,18 @@ Int64 = npt.NDArray[np.int64]
 
 @kernel
 def _beside(
-    x: Int32, y: Int32, z: Int32, columns: Int64, rows: Int64, ox: Int32, oy: Int32, oz: Int32,
-    slots: Int32, keys: Int64, starts: Int64, order: Int64, width: int, height: int, reach2: int, rise: int,
+    x: Int32, y: Int32, z: Int32, columns: Int64, rows: Int64, ox: Int32, oy: Int32, oz: Int32, table: CellTable,
+    reach2: int, rise: int,
 ) -> npt.NDArray[np.bool_]:  # fmt: skip
     """Whether an object's point lies near each point and higher by ``rise``."""
     out = np.zeros(x.size, np.bool_)
     for i in range(x.size):
         for cell in range(9):
-            slot = slot_of(slots, keys, width, height, columns[i] + cell % 3 - 1, rows[i] + cell // 3 - 1)
+            slot = slot_of(table, columns[i] + cell % 3 - 1, rows[i] + cell // 3 - 1)
             if slot < 0:
                 continue
-            for j in range(starts[slot], starts[slot + 1]):
-                k = order[j]
+            for j in range(table.starts[slot], table.starts[slot + 1]):
+                k = table.order[j]
                 dx, dy = wide(ox[k]) - x[i], wide(oy[k]) - y[i]
                 if wide(oz[k]) - z[i] >= rise and dx * dx + dy * dy <= reach2:
                     out[i] = True
@@ -64,13 +64,6 @@ def beside_objects(
     cells = Cells(reach.numerator, reach.denominator, *origin)
     x, y, z = (np.ascontiguousarray(axis) for axis in objects)
     index = CellIndex(x, y, cells)
-    columns, rows = (
-        ((ground[axis].astype(np.int64) + origin[axis]) * cells.q) // cells.p - first
-        for axis, first in ((0, index.col0), (1, index.row0))
-    )
     gx, gy, gz = (np.ascontiguousarray(axis) for axis in ground)
     reach2 = math.floor(reach * reach)
-    return _beside(
-        gx, gy, gz, columns, rows, x, y, z, index.slots, index.keys, index.starts, index.order,
-        index.width, index.height, reach2, rise,
-    )  # fmt: skip
+    return _beside(gx, gy, gz, *index.places(gx, gy), x, y, z, index.table, reach2, rise)

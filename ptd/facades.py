@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, Int32, Int64, slot_of
+from ptd.cells import CellIndex, CellTable, Int32, Int64, slot_of
 from ptd.frame import Cells
 from ptd.kernel import kernel
 from ptd.roughness import fit_plane
@@ -99,34 +99,21 @@ def _median_point(x: Int32, y: Int32, z: Int32, order: Int64, first: int, last: 
 
 
 @kernel
-def _clearance2(
-    slots: Int32, keys: Int64, width: int, height: int, facade: Bool, column: int, row: int, reach: int
-) -> int:
+def _clearance2(table: CellTable, facade: Bool, column: int, row: int, reach: int) -> int:
     """Squared cells to the nearest facade cell within `reach` columns and rows, (reach + 1)^2 if there is none."""
     nearest = (reach + 1) * (reach + 1)
     for dy in range(-reach, reach + 1):
         for dx in range(-reach, reach + 1):
-            slot = slot_of(slots, keys, width, height, column + dx, row + dy)
+            slot = slot_of(table, column + dx, row + dy)
             if slot >= 0 and facade[slot]:
                 nearest = min(nearest, dx * dx + dy * dy)
     return nearest
 
 
 @kernel
-def _road_points(
-    x: Int32,
-    y: Int32,
-    z: Int32,
-    slots: Int32,
-    keys: Int64,
-    starts: Int64,
-    order: Int64,
-    width: int,
-    height: int,
-    facade: Bool,
-    rule: FacadeRule,
-) -> Int32:
+def _road_points(x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, rule: FacadeRule) -> Int32:
     """The median point of the road cell of each facade cell, -1 where there is none: int32 [cells]."""
+    keys, starts, width = table.keys, table.starts, table.width
     median = np.full(keys.size, -2, np.int32)
     chosen = np.full(keys.size, -1, np.int32)
     steps = np.array([[1, 0], [0, 1], [1, 1], [1, -1]])
@@ -141,10 +128,10 @@ def _road_points(
             dx, dy = size * steps[d, 0], size * steps[d, 1]
             for side in range(2):
                 sign = 1 - 2 * side
-                ends[side] = slot_of(slots, keys, width, height, column + sign * dx, row + sign * dy)
+                ends[side] = slot_of(table, column + sign * dx, row + sign * dy)
                 if ends[side] >= 0 and median[ends[side]] == -2:
                     e = ends[side]
-                    median[e] = _median_point(x, y, z, order, starts[e], starts[e + 1])
+                    median[e] = _median_point(x, y, z, table.order, starts[e], starts[e + 1])
             if ends[0] < 0 or ends[1] < 0:
                 continue
             z0, z1 = z[median[ends[0]]], z[median[ends[1]]]
@@ -153,9 +140,7 @@ def _road_points(
             if abs(float(z0) - float(z1)) < rule.min_drop or facade[road]:
                 continue
             sign = 1 - 2 * lower
-            clear = _clearance2(
-                slots, keys, width, height, facade, column + sign * dx, row + sign * dy, rule.straight
-            )
+            clear = _clearance2(table, facade, column + sign * dx, row + sign * dy, rule.straight)
             here = median[road]
             if clear > farthest or (clear == farthest and z[here] < z[chosen[s]]):
                 farthest = clear
@@ -165,9 +150,8 @@ def _road_points(
 
 @kernel
 def _variation(
-    x: Int32, y: Int32, z: Int32, slots: Int32, keys: Int64, starts: Int64, order: Int64, width: int, height: int,
-    column: int, row: int, origin: int, z_ratio: float,
-) -> float:  # fmt: skip
+    x: Int32, y: Int32, z: Int32, table: CellTable, column: int, row: int, origin: int, z_ratio: float
+) -> float:
     """Root mean square of the residuals of a plane through the points of a block of cells; inf where there is none.
 
     The sums are of whole numbers, relative to a point of the block: the order of the points changes no bit.
@@ -175,11 +159,11 @@ def _variation(
     s = np.zeros(10, np.int64)
     for r in range(row - BLOCK, row + BLOCK + 1):
         for c in range(column - BLOCK, column + BLOCK + 1):
-            slot = slot_of(slots, keys, width, height, c, r)
+            slot = slot_of(table, c, r)
             if slot < 0:
                 continue
-            for k in range(starts[slot], starts[slot + 1]):
-                i = order[k]
+            for k in range(table.starts[slot], table.starts[slot + 1]):
+                i = table.order[k]
                 dx, dy, dz = (
                     np.int64(x[i]) - x[origin],
                     np.int64(y[i]) - y[origin],
@@ -196,14 +180,12 @@ def _variation(
 
 @kernel
 def _flat(
-    x: Int32, y: Int32, z: Int32, slots: Int32, keys: Int64, starts: Int64, order: Int64, width: int, height: int,
-    seeds: Int32, columns: Int64, rows: Int64, largest: float, z_ratio: float,
+    x: Int32, y: Int32, z: Int32, table: CellTable, seeds: Int32, columns: Int64, rows: Int64,
+    largest: float, z_ratio: float,
 ) -> Bool:  # fmt: skip
     out = np.zeros(seeds.size, np.bool_)
     for k in range(seeds.size):
-        at = columns[k], rows[k], seeds[k]
-        found = _variation(x, y, z, slots, keys, starts, order, width, height, at[0], at[1], at[2], z_ratio)
-        out[k] = found < largest
+        out[k] = _variation(x, y, z, table, columns[k], rows[k], seeds[k], z_ratio) < largest
     return out
 
 
@@ -222,11 +204,11 @@ class Facades:
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells, min_points: float) -> None:
         self.x, self.y, self.z = x, y, z
         self.index = CellIndex(x, y, cells)
-        self.holds = np.diff(self.index.starts) > min_points
+        self.holds = np.diff(self.index.table.starts) > min_points
 
     def points(self) -> Int64:
         """Indices of the points in facade cells."""
-        i = self.index
+        i = self.index.table
         parts = [i.order[i.starts[s] : i.starts[s + 1]] for s in np.flatnonzero(self.holds)]
         return np.concatenate(parts) if parts else np.zeros(0, np.int64)
 
@@ -239,13 +221,11 @@ class Facades:
         one. The point is that of the median height of its cell, as the lowest is a blunder or at the noise's lower
         end. It is refused unless the points around it lie on a plane but for noise.
         """
-        i, x, y, z = self.index, self.x, self.y, self.z
-        lists = x, y, z, i.slots, i.keys, i.starts, i.order, i.width, i.height
-        found = _road_points(*lists, self.holds, rule)
+        x, y, z, table = self.x, self.y, self.z, self.index.table
+        found = _road_points(x, y, z, table, self.holds, rule)
         found = found[found >= 0]
         found = found[np.sort(np.unique(found, return_index=True)[1])]
-        columns = ((x[found].astype(np.int64) + i.cells.origin_x) * i.cells.q) // i.cells.p - i.col0
-        rows = ((y[found].astype(np.int64) + i.cells.origin_y) * i.cells.q) // i.cells.p - i.row0
-        flat = _flat(*lists, found, columns, rows, rule.variation, rule.z_ratio)
+        columns, rows = self.index.places(x[found], y[found])
+        flat = _flat(x, y, z, table, found, columns, rows, rule.variation, rule.z_ratio)
         kept: Int32 = found[flat]
         return kept

@@ -68,6 +68,14 @@ class Cells:
         """Row of local count ``y``, growing to the north."""
         return ((y + self.origin_y) * self.q) // self.p
 
+    def places(
+        self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Columns and rows of local counts: int64 [n] each."""
+        columns: npt.NDArray[np.int64] = ((x.astype(np.int64) + self.origin_x) * self.q) // self.p
+        rows: npt.NDArray[np.int64] = ((y.astype(np.int64) + self.origin_y) * self.q) // self.p
+        return columns, rows
+
     def west(self, column: int) -> int:
         """The first local count of a column."""
         return -((-column * self.p) // self.q) - self.origin_x

@@ -16,7 +16,7 @@ from ptd.labelling import GROUND, UNCLASSIFIED
 from ptd.passes import Model, Points
 from ptd.picks import picked_per_cell
 from ptd.rim import REACH, rim
-from ptd.seeds import box_with_ring
+from ptd.seeds import box_with_ring, cells_of
 from ptd.tin.mesh import Tin
 from ptd.trial import Bool, Int64, Threshold, Trial
 
@@ -130,12 +130,8 @@ def _doubt_cells(doubt: Doubt, cells: Cells, x: Int32, y: Int32, ground: Bool, d
     if not doubt.active or not doubtful.any():
         return
 
-    def of(which: Bool) -> set[tuple[int, int]]:
-        at = ((x[which].astype(np.int64) + cells.origin_x) * cells.q) // cells.p
-        up = ((y[which].astype(np.int64) + cells.origin_y) * cells.q) // cells.p
-        return set(zip(at.tolist(), up.tolist(), strict=True))
-
-    own, filled = of(doubtful), of(ground & ~doubtful)
+    sure = ground & ~doubtful
+    own, filled = set(cells_of(x[doubtful], y[doubtful], cells)), set(cells_of(x[sure], y[sure], cells))
     span = range(-REACH, REACH + 1)
     around = {(c + i, r + j) for c, r in own for j in span for i in span} - filled
     for c, r in own | around:

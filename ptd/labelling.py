@@ -11,50 +11,15 @@ from ptd.cells import CellIndex, Int32
 from ptd.certify import UInt8
 from ptd.criteria import Limits, across, facet_measures, judge
 from ptd.frame import Cells
-from ptd.kernel import kernel, wide
+from ptd.kernel import kernel
 from ptd.passes import Points
-from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, is_ghost
+from ptd.tin.layout import N_TRIANGLES, Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
 
 UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
 """ASPRS classes that a filter gives."""
-
-GRID_CELLS_PER_VERTEX = 2
-
-
-@kernel
-def _start_grid(
-    vertices: Int32Array, n: int, west: int, south: int, cell: int, height: int, width: int
-) -> Int32:
-    """A triangle near each cell of a raster: int32 [height * width]."""
-    grid = np.full(height * width, -1, np.int32)
-    for v in range(n):
-        row, column = (vertices[4 * v + 1] - south) // cell, (vertices[4 * v] - west) // cell
-        grid[row * width + column] = max(vertices[4 * v + 3], 0)
-    last = np.int32(0)
-    for k in range(grid.size):
-        if grid[k] < 0:
-            grid[k] = last
-        last = grid[k]
-    return grid
-
-
-class Locator:
-    """Starts the walk of a point location near its end, so that points may come in any order."""
-
-    def __init__(self, tin: Tin) -> None:
-        n = int(tin.counters[N_VERTICES])
-        xy = tin.vertex_array[: 4 * n].reshape(-1, 4)
-        self.west, self.south = int(xy[:, 0].min()), int(xy[:, 1].min())
-        wide, high = int(xy[:, 0].max()) - self.west + 1, int(xy[:, 1].max()) - self.south + 1
-        self.cell = max(
-            int(np.sqrt(wide * high / (GRID_CELLS_PER_VERTEX * n))), (wide + high) // (8 * n + 64) + 1
-        )
-        self.width, self.height = wide // self.cell + 1, high // self.cell + 1
-        self.grid = _start_grid(
-            tin.vertex_array, n, self.west, self.south, self.cell, self.height, self.width
-        )
 
 
 @kernel
@@ -127,12 +92,7 @@ def _label(
     x: Int32,
     y: Int32,
     z: Int32,
-    grid: Int32,
-    west: int,
-    south: int,
-    cell: int,
-    height: int,
-    width: int,
+    locator: Locator,
     in_doubt: UInt8,
     limits: Limits,
     floor: float,
@@ -143,13 +103,11 @@ def _label(
     marked: npt.NDArray[np.bool_],
 ) -> None:
     for i in range(x.size):
-        column = min(max((x[i] - west) // cell, 0), width - 1)
-        row = min(max((y[i] - south) // cell, 0), height - 1)
-        t = locate(vertices, triangles, x[i], y[i], wide(grid[row * width + column]))
+        t = locate(vertices, triangles, x[i], y[i], start_near(locator, x[i], y[i]))
         if vertices_only and (
             is_ghost(triangles, t) or coincident_vertex(vertices, triangles, x[i], y[i], t) < 0
         ):
-            labels[i], marked[i] = 1, in_doubt[t] != 0
+            labels[i], marked[i] = UNCLASSIFIED, in_doubt[t] != 0
             continue
         if heights_only:
             terrain, marked[i] = _is_near(
@@ -159,7 +117,7 @@ def _label(
             terrain, _elsewhere, marked[i] = is_terrain(
                 vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
             )
-        labels[i] = 2 if terrain else 1
+        labels[i] = GROUND if terrain else UNCLASSIFIED
 
 
 def label_points(
@@ -205,13 +163,12 @@ def label_points(
     marked : bool [n]
         Points outside the window could change the label.
     """
-    labels = np.ones(x.size, np.uint8)
+    labels = np.full(x.size, UNCLASSIFIED, np.uint8)
     marked = np.zeros(x.size, np.bool_)
     if x.size and int(tin.counters[N_TRIANGLES]):
-        g = locator
         _label(
-            tin.vertex_array, tin.triangle_array, x, y, z, g.grid, g.west, g.south, g.cell, g.height, g.width,
-            in_doubt, limits, floor, vertices_only, per_slope is not None, per_slope or 0.0, labels, marked,
+            tin.vertex_array, tin.triangle_array, x, y, z, locator, in_doubt, limits, floor,
+            vertices_only, per_slope is not None, per_slope or 0.0, labels, marked,
         )  # fmt: skip
     return labels, marked
 
@@ -230,7 +187,7 @@ class LowNoise:
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
         self._index = CellIndex(x, y, cells) if x.size else None
         if self._index is not None:
-            self._heights = np.maximum.reduceat(z[self._index.order], self._index.starts[:-1])
+            self._heights = np.maximum.reduceat(z[self._index.table.order], self._index.table.starts[:-1])
 
     def holds(self, x: Int32, y: Int32, z: Int32) -> npt.NDArray[np.bool_]:
         """Whether points are low noise: bool [n]."""
@@ -271,7 +228,7 @@ class Terrain:
     ) -> None:
         self.tin, self._in_doubt, self._low, self._limits = tin, in_doubt, low, limits
         self._floor, self._vertices_only, self._per_slope = floor, vertices_only, per_slope
-        self._locator = Locator(tin)
+        self._locator = Locator.of(tin)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """ASPRS classes (uint8 [n]) and marks (bool [n]) of points, in any order."""

@@ -191,8 +191,7 @@ def blocks(x: Int32, y: Int32, cells: Cells, reach: int) -> Iterator[tuple[Int64
     """
     if x.size == 0:
         return
-    columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p
-    rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p
+    columns, rows = cells.places(x, y)
     columns -= columns.min()
     rows -= rows[0]
     if columns.max() < BLOCK_CELLS + 2 * reach and rows[-1] < BLOCK_CELLS + 2 * reach:

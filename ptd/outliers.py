@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, Int32, Int64, slot_of
+from ptd.cells import CellIndex, CellTable, Int32, Int64, slot_of
 from ptd.frame import Cells, Scale
 from ptd.kernel import kernel
 
@@ -21,12 +21,7 @@ def _outliers(
     x: Int32,
     y: Int32,
     z: Int32,
-    slots: Int32,
-    keys: Int64,
-    starts: Int64,
-    order: Int64,
-    width: int,
-    height: int,
+    table: CellTable,
     point_columns: Int64,
     point_rows: Int64,
     reach: int,
@@ -49,11 +44,11 @@ def _outliers(
                 edge_row = abs(row - point_rows[i]) == ring
                 step = 1 if edge_row or ring == 0 else 2 * ring
                 for column in range(point_columns[i] - ring, point_columns[i] + ring + 1, step):
-                    slot = slot_of(slots, keys, width, height, column, row)
+                    slot = slot_of(table, column, row)
                     if slot < 0:
                         continue
-                    for k in range(starts[slot], starts[slot + 1]):
-                        j = order[k]
+                    for k in range(table.starts[slot], table.starts[slot + 1]):
+                        j = table.order[k]
                         dx, dy = float(x[j] - x[i]), float(y[j] - y[i])
                         if dx * dx + dy * dy > limit2:
                             continue
@@ -127,13 +122,10 @@ def isolated_in_height(
 def _search(
     x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float, group: int, both: bool
 ) -> npt.NDArray[np.bool_]:
-    cells = Cells.of(1.0, scale)
-    index = CellIndex(x, y, cells)
-    columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p - index.col0
-    rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p - index.row0
+    index = CellIndex(x, y, Cells.of(1.0, scale))
     return _outliers(
-        x, y, z, index.slots, index.keys, index.starts, index.order, index.width, index.height,
-        columns, rows, int(np.ceil(radius_m)) + 1, scale.counts(radius_m), scale.counts_z(depth_m), group, both,
+        x, y, z, index.table, *index.places(x, y),
+        int(np.ceil(radius_m)) + 1, scale.counts(radius_m), scale.counts_z(depth_m), group, both,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, Int32, Int64, slot_of
+from ptd.cells import CellIndex, CellTable, Int32, Int64, slot_of
 from ptd.frame import Cells, Scale
 from ptd.kernel import kernel
 
@@ -22,18 +22,18 @@ NOISE_QUANTILE = 1.65
 
 @kernel
 def _overhung(
-    x: Int32, y: Int32, z: Int32, slots: Int32, keys: Int64, starts: Int64, order: Int64, width: int, height: int,
-    columns: Int64, rows: Int64, radius: float, slope: float, noise: float, z_ratio: float,
+    x: Int32, y: Int32, z: Int32, table: CellTable, columns: Int64, rows: Int64,
+    radius: float, slope: float, noise: float, z_ratio: float,
 ) -> Bool:  # fmt: skip
     out = np.zeros(x.size, np.bool_)
     for i in range(x.size):
         for row in range(rows[i] - 1, rows[i] + 2):
             for column in range(columns[i] - 1, columns[i] + 2):
-                slot = slot_of(slots, keys, width, height, column, row)
+                slot = slot_of(table, column, row)
                 if slot < 0:
                     continue
-                for k in range(starts[slot], starts[slot + 1]):
-                    j = order[k]
+                for k in range(table.starts[slot], table.starts[slot + 1]):
+                    j = table.order[k]
                     dx, dy = float(x[j] - x[i]), float(y[j] - y[i])
                     apart = math.sqrt(dx * dx + dy * dy)
                     above = (float(z[i]) - float(z[j])) * z_ratio
@@ -67,12 +67,8 @@ def on_podium(
     """
     if x.size == 0:
         return np.zeros(0, np.bool_)
-    cells = Cells.of(radius_m, scale)
-    i = CellIndex(x, y, cells)
-    columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p - i.col0
-    rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p - i.row0
+    index = CellIndex(x, y, Cells.of(radius_m, scale))
     noise = NOISE_QUANTILE * math.sqrt(2.0) * scale.counts(sigma_m)
     return _overhung(
-        x, y, z, i.slots, i.keys, i.starts, i.order, i.width, i.height, columns, rows,
-        scale.counts(radius_m), slope, noise, scale.z_ratio,
+        x, y, z, index.table, *index.places(x, y), scale.counts(radius_m), slope, noise, scale.z_ratio
     )  # fmt: skip

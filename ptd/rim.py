@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ptd.cells import Int32, Int64, cell_keys, slot_of
+from ptd.cells import CellTable, Int32, Int64, cell_keys, slot_of
 from ptd.frame import Cells
 from ptd.kernel import kernel
 from ptd.roughness import fit_plane
@@ -24,22 +24,20 @@ MIN_CELLS = 4
 
 
 @kernel
-def _heights(
-    keys: Int64, x: Int64, y: Int64, z: Int64, width: int, height: int, empty: Int64, cx: Int64, cy: Int64
-) -> Int64:
+def _heights(table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: Int64, cy: Int64) -> Int64:
     """Heights of planes through the filled cells around empty ones."""
     out = np.empty(empty.size, np.int64)
-    no_slots = np.zeros(0, np.int32)
     s = np.zeros(10, np.int64)
     for k in range(empty.size):
         s[:] = 0
-        row, column = empty[k] // width, empty[k] % width
+        row, column = empty[k] // table.width, empty[k] % table.width
         base = np.int64(0)
         for r in range(row - REACH, row + REACH + 1):
             for c in range(column - REACH, column + REACH + 1):
-                i = slot_of(no_slots, keys, width, height, c, r)
-                if i < 0:
+                slot = slot_of(table, c, r)
+                if slot < 0:
                     continue
+                i = table.order[slot]  # one point a cell
                 if s[0] == 0:
                     base = z[i]
                 dx, dy, dz = x[i] - cx[k], y[i] - cy[k], z[i] - base
@@ -87,6 +85,7 @@ def rim(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
     half = cells.p // (2 * cells.q)
     cx = half - (-(empty % width + col0) * cells.p) // cells.q - cells.origin_x
     cy = half - (-(empty // width + row0) * cells.p) // cells.q - cells.origin_y
-    x64, y64, z64 = (column.astype(np.int64)[order] for column in (x, y, z))
-    found = _heights(keys, x64, y64, z64, width, height, empty, cx, cy)
+    table = CellTable(np.zeros(0, np.int32), keys, np.arange(keys.size + 1), order, width, height)
+    x64, y64, z64 = (column.astype(np.int64) for column in (x, y, z))
+    found = _heights(table, x64, y64, z64, empty, cx, cy)
     return np.stack([cx, cy, np.clip(found, -(2**31) + 1, 2**31 - 1)], axis=1).astype(np.int32)

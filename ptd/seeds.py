@@ -75,8 +75,7 @@ def choose_seeds(
 
 def cells_of(x: Int32, y: Int32, cells: Cells) -> list[tuple[int, int]]:
     """Column and row of each point."""
-    columns = ((x.astype(np.int64) + cells.origin_x) * cells.q) // cells.p
-    rows = ((y.astype(np.int64) + cells.origin_y) * cells.q) // cells.p
+    columns, rows = cells.places(x, y)
     return list(zip(columns.tolist(), rows.tolist(), strict=True))
 
 

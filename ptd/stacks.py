@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.cells import CellIndex, Int32, Int64, is_lower, slot_of
+from ptd.cells import CellIndex, CellTable, Int32, Int64, is_lower, slot_of
 from ptd.frame import Cells
 from ptd.kernel import kernel, wide
 
@@ -34,11 +34,7 @@ def _sort_stacks(x: Int32, y: Int32, z: Int32, starts: Int64, order: Int64) -> N
 class Raster(NamedTuple):
     """Where a cell's stack is, for kernels; see `ptd.cells.CellIndex` and `ptd.frame.Cells`."""
 
-    slots: Int32
-    keys: Int64
-    starts: Int64
-    width: int
-    height: int
+    table: CellTable
     col0: int
     row0: int
     p: int
@@ -67,13 +63,11 @@ class Stacks:
 
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
         index = CellIndex(x, y, cells)
-        _sort_stacks(x, y, z, index.starts, index.order)
-        self.x, self.y, self.z = x[index.order], y[index.order], z[index.order]
-        self.starts = index.starts
-        self.raster = Raster(
-            index.slots, index.keys, index.starts, index.width, index.height, index.col0, index.row0,
-            cells.p, cells.q, cells.origin_x, cells.origin_y,
-        )  # fmt: skip
+        table = index.table
+        _sort_stacks(x, y, z, table.starts, table.order)
+        self.x, self.y, self.z = x[table.order], y[table.order], z[table.order]
+        self.starts = table.starts
+        self.raster = Raster(table, index.col0, index.row0, cells.p, cells.q, cells.origin_x, cells.origin_y)
 
 
 @kernel
@@ -98,17 +92,10 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: Raster, x3: int, y3: int
     best = -1
     for row in range(y0 * raster.q // raster.p, (y0 + 2 * reach) * raster.q // raster.p + 1):
         for column in range(x0 * raster.q // raster.p, (x0 + 2 * reach) * raster.q // raster.p + 1):
-            slot = slot_of(
-                raster.slots,
-                raster.keys,
-                raster.width,
-                raster.height,
-                column - raster.col0,
-                row - raster.row0,
-            )
+            slot = slot_of(raster.table, column - raster.col0, row - raster.row0)
             if slot < 0:
                 continue
-            for i in range(raster.starts[slot], raster.starts[slot + 1]):
+            for i in range(raster.table.starts[slot], raster.table.starts[slot + 1]):
                 dx, dy = np.int64(3) * x[i] - x3, np.int64(3) * y[i] - y3
                 if dx * dx + dy * dy <= limit2:
                     if best < 0 or is_lower(x, y, z, i, best):
@@ -135,10 +122,10 @@ def places_in_stacks(
     for k in range(of_x.size):
         column = (wide(of_x[k]) + raster.origin_x) * raster.q // raster.p - raster.col0
         row = (wide(of_y[k]) + raster.origin_y) * raster.q // raster.p - raster.row0
-        slot = slot_of(raster.slots, raster.keys, raster.width, raster.height, column, row)
+        slot = slot_of(raster.table, column, row)
         if slot < 0:
             continue
-        for i in range(raster.starts[slot], raster.starts[slot + 1]):
+        for i in range(raster.table.starts[slot], raster.table.starts[slot + 1]):
             if z[i] > of_z[k]:
                 break
             if z[i] == of_z[k] and x[i] == of_x[k] and y[i] == of_y[k]:

@@ -15,12 +15,12 @@ from ptd.cells import Int32
 from ptd.certify import Doubt, UInt8
 from ptd.criteria import across, facet_measures
 from ptd.frame import Scale
-from ptd.kernel import kernel, wide
-from ptd.labelling import Locator
+from ptd.kernel import kernel
 from ptd.tin.circles import Rule, facet_passes
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import N_TRIANGLES, Int32Array
 from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
 
 Bool = npt.NDArray[np.bool_]
@@ -76,15 +76,6 @@ def _usable(vertices: Int32Array, triangles: Int32Array, n: int, rule: Rule) -> 
 
 
 @kernel
-def _start(grid: Int32, place: tuple[int, int, int, int, int], x: int, y: int) -> int:
-    """A triangle near (x, y), see `ptd.labelling.Locator`."""
-    west, south, cell, height, width = place
-    column = min(max((x - west) // cell, 0), width - 1)
-    row = min(max((y - south) // cell, 0), height - 1)
-    return wide(grid[row * width + column])
-
-
-@kernel
 def _owner(
     vertices: Int32Array, triangles: Int32Array, usable: Bool, in_doubt: UInt8, t: int, x: int, y: int
 ) -> tuple[int, bool]:
@@ -100,14 +91,14 @@ def _owner(
 
 @kernel
 def _test(
-    vertices: Int32Array, triangles: Int32Array, usable: Bool, grid: Int32, place: tuple[int, int, int, int, int],
+    vertices: Int32Array, triangles: Int32Array, usable: Bool, locator: Locator,
     x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, near: Bool, distance: float, sine: float,
     z_ratio: float, largest: bool, passed: Bool, doubtful: Bool,
 ) -> None:  # fmt: skip
     for i in range(x.size):
         if not which[i]:
             continue
-        t = locate(vertices, triangles, x[i], y[i], _start(grid, place, x[i], y[i]))
+        t = locate(vertices, triangles, x[i], y[i], start_near(locator, x[i], y[i]))
         v = coincident_vertex(vertices, triangles, x[i], y[i], t)
         if v >= 0:
             passed[i] = abs(float(z[i]) - float(vertices[4 * v + 2])) * z_ratio <= distance
@@ -122,14 +113,14 @@ def _test(
 
 @kernel
 def _count(
-    vertices: Int32Array, triangles: Int32Array, usable: Bool, grid: Int32, place: tuple[int, int, int, int, int],
+    vertices: Int32Array, triangles: Int32Array, usable: Bool, locator: Locator,
     x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, z_ratio: float, largest: bool, distance: float,
     angle: float, counts: Int64,
 ) -> None:  # fmt: skip
     for i in range(x.size):
         if not which[i]:
             continue
-        t = locate(vertices, triangles, x[i], y[i], _start(grid, place, x[i], y[i]))
+        t = locate(vertices, triangles, x[i], y[i], start_near(locator, x[i], y[i]))
         if coincident_vertex(vertices, triangles, x[i], y[i], t) >= 0:
             continue
         owner, _sure = _owner(vertices, triangles, usable, in_doubt, t, x[i], y[i])
@@ -173,8 +164,7 @@ class Trial:
         if doubt is not None:
             self.in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, n)
         if n:
-            g = Locator(tin)
-            self._grid, self._place = g.grid, (g.west, g.south, g.cell, g.height, g.width)
+            self._locator = Locator.of(tin)
 
     def test(
         self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: Doubt
@@ -197,7 +187,7 @@ class Trial:
         if not self.usable.size:
             return passed, near
         _test(
-            self.tin.vertex_array, self.tin.triangle_array, self.usable, self._grid, self._place, x, y, z, which,
+            self.tin.vertex_array, self.tin.triangle_array, self.usable, self._locator, x, y, z, which,
             self.in_doubt, near, self.scale.counts(threshold.distance_m), math.sin(threshold.angle_rad),
             self.scale.z_ratio, self.largest, passed, doubtful,
         )  # fmt: skip
@@ -208,7 +198,7 @@ class Trial:
         counts = np.zeros((bins.distances, bins.angles), np.int64)
         if self.usable.size:
             _count(
-                self.tin.vertex_array, self.tin.triangle_array, self.usable, self._grid, self._place, x, y, z, which,
+                self.tin.vertex_array, self.tin.triangle_array, self.usable, self._locator, x, y, z, which,
                 self.in_doubt, self.scale.z_ratio, self.largest, self.scale.counts(bins.distance_m), bins.angle_rad,
                 counts,
             )  # fmt: skip

@@ -182,9 +182,7 @@ def _points_by_count(x: Int32, y: Int32, cells: Cells, own: Bool) -> list[list[i
     """[number, points of the core in cells with so many points], in the order of the numbers."""
     if not x.size:
         return []
-    c = cells
-    columns = ((x.astype(np.int64) + c.origin_x) * c.q) // c.p
-    rows = ((y.astype(np.int64) + c.origin_y) * c.q) // c.p
+    columns, rows = cells.places(x, y)
     keys = (rows - rows.min()) * (int(columns.max() - columns.min()) + 1) + columns - columns.min()
     _, slot, counts = np.unique(keys, return_inverse=True, return_counts=True)
     found, points = np.unique(counts[slot[own]], return_counts=True)

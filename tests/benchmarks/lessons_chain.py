@@ -29,7 +29,7 @@ from ptd.criteria import Limits
 from ptd.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.frame import Cells, Scale, Window
 from ptd.kernel import kernel, wide
-from ptd.labelling import GROUND, UNCLASSIFIED, Locator
+from ptd.labelling import GROUND, UNCLASSIFIED
 from ptd.morphology import Bool, CellRaster, steepest_drops
 from ptd.outliers import low_outliers
 from ptd.seeds import box_with_ring, choose_seeds
@@ -37,6 +37,7 @@ from ptd.slopes import slopes
 from ptd.tin.interpolation import facet_plane, height_on
 from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
 from tiler.evaluate import evaluate_labels
 
@@ -82,14 +83,12 @@ def triangulate(x: Int32, y: Int32, z: Int32, chosen: Bool, ring: Int32) -> Tin:
 
 @kernel
 def _label(
-    vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: Int32, starts: Int32,
-    west: int, south: int, cell: int, height: int, width: int, floor: float, per_slope: float, labels: np.ndarray,
+    vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: Int32, locator: Locator,
+    floor: float, per_slope: float, labels: np.ndarray,
 ) -> None:  # fmt: skip
     for i in range(x.size):
-        column = min(max((x[i] - west) // cell, 0), width - 1)
-        row = min(max((y[i] - south) // cell, 0), height - 1)
         px, py = wide(x[i]), wide(y[i])
-        t = locate(vertices, triangles, px, py, wide(starts[row * width + column]))
+        t = locate(vertices, triangles, px, py, start_near(locator, px, py))
         if is_ghost(triangles, t):
             continue
         v = coincident_vertex(vertices, triangles, px, py, t)
@@ -107,9 +106,8 @@ def _label(
 def label_by_height(tin: Tin, xyz: Int32, scale: Scale) -> np.ndarray:
     """Ground is what lies within ``FLOOR_M + PER_SLOPE_M * slope`` above or below the TIN."""
     labels = np.full(xyz.shape[1], UNCLASSIFIED, np.uint8)
-    g = Locator(tin)
     _label(
-        tin.vertex_array, tin.triangle_array, *xyz, g.grid, g.west, g.south, g.cell, g.height, g.width,
+        tin.vertex_array, tin.triangle_array, *xyz, Locator.of(tin),
         scale.counts_z(FLOOR_M), scale.counts(PER_SLOPE_M), labels,
     )  # fmt: skip
     return labels

@@ -118,17 +118,18 @@ def test_an_index_lists_each_point_under_its_cell(spread: int) -> None:
     x, y = (rng.integers(-9000, 9000, (2, 300)) * spread).astype(np.int32)
     cells = Cells.of(1.0, Scale(origin=(3, -77)))
     index = CellIndex(x, y, cells)
-    assert (index.slots.size > 0) == (spread == 1)
+    table = index.table
+    assert (table.slots.size > 0) == (spread == 1)
     listed = 0
     for k in range(300):
         column, row = cells.column(int(x[k])) - index.col0, cells.row(int(y[k])) - index.row0
-        slot = slot_of(index.slots, index.keys, index.width, index.height, column, row)
-        members = index.order[index.starts[slot] : index.starts[slot + 1]]
+        slot = slot_of(table, column, row)
+        members = table.order[table.starts[slot] : table.starts[slot + 1]]
         assert k in members
         listed += 1 / members.size
-    assert listed == pytest.approx(index.keys.size)
-    for column, row in ((-1, 0), (0, -1), (index.width, 0), (0, index.height)):
-        assert slot_of(index.slots, index.keys, index.width, index.height, column, row) == -1
+    assert listed == pytest.approx(table.keys.size)
+    for column, row in ((-1, 0), (0, -1), (table.width, 0), (0, table.height)):
+        assert slot_of(table, column, row) == -1
 
 
 def test_no_points_no_cells() -> None:

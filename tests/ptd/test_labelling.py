@@ -7,7 +7,8 @@ import pytest
 
 from ptd.criteria import Limits
 from ptd.frame import Cells, Scale
-from ptd.labelling import Locator, LowNoise, label_points
+from ptd.labelling import LowNoise, label_points
+from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
 
 LIMITS = Limits.of(Scale(), distance_m=1.4, angle_deg=6.0, terrain_deg=88.0)
@@ -27,7 +28,7 @@ def label(
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).reshape(-1, 3).T)
     in_doubt = np.full(tin.n_triangles, doubt, np.uint8)
     floor = 0.0 if options.get("vertices_only") else FLOOR
-    labels, marked = label_points(tin, Locator(tin), x, y, z, in_doubt, LIMITS, floor, **options)
+    labels, marked = label_points(tin, Locator.of(tin), x, y, z, in_doubt, LIMITS, floor, **options)
     return labels.tolist(), marked.tolist()
 
 
@@ -71,7 +72,7 @@ def test_on_an_edge_the_triangle_behind_it_counts() -> None:
     beside = {tin.locate(15_000, 20_001), tin.locate(15_000, 19_999)} - {home}
     for t in range(tin.n_triangles):
         in_doubt = (np.arange(tin.n_triangles) == t).astype(np.uint8)
-        _, marked = label_points(tin, Locator(tin), x, y, z, in_doubt, LIMITS, FLOOR)
+        _, marked = label_points(tin, Locator.of(tin), x, y, z, in_doubt, LIMITS, FLOOR)
         assert marked[0] == (t == home or t in beside)
 
 

@@ -12,9 +12,10 @@ from scipy.spatial import Delaunay
 from ptd.certify import Doubt
 from ptd.criteria import Limits
 from ptd.frame import Cells, Scale
-from ptd.labelling import Locator, label_points
+from ptd.labelling import label_points
 from ptd.stacks import Stacks
 from ptd.thinned import Tally, densify_thinned
+from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
 
 from .test_densify import CORNERS, EVERYTHING, passes, scene
@@ -127,7 +128,7 @@ def test_the_tally_counts_what_labelling_gives() -> None:
         )
         for tin in got:
             clear = np.zeros(tin.n_triangles, np.uint8)
-            labels, _ = label_points(tin, Locator(tin), x, y, z, clear, limits, 200.0)
+            labels, _ = label_points(tin, Locator.of(tin), x, y, z, clear, limits, 200.0)
             counts.append(tally.count(tin, clear))
             assert counts[-1] == (((labels == 2) & (before != 2)).sum(), 0)
             before = labels
@@ -145,6 +146,6 @@ def test_the_tally_counts_what_is_in_doubt() -> None:
         p not in rows(tin) for p in zip(stacks.x.tolist(), stacks.y.tolist(), stacks.z.tolist(), strict=True)
     ]
     x, y, z = stacks.x[off], stacks.y[off], stacks.z[off]
-    _, marked = label_points(tin, Locator(tin), x, y, z, in_doubt, limits, 0.0)
+    _, marked = label_points(tin, Locator.of(tin), x, y, z, in_doubt, limits, 0.0)
     tally = Tally(x, y, z, limits, 0.0, np.zeros(x.size, np.bool_))
     assert tally.count(tin, in_doubt)[1] == tally.count(tin, in_doubt)[1] == marked.sum() > 0

@@ -1,0 +1,72 @@
+"""Where walks of point location start: a raster of triangles, so that points may come in any order."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ptd.kernel import kernel, wide
+from ptd.tin.layout import N_VERTICES, Int32Array
+from ptd.tin.mesh import Tin
+
+GRID_CELLS_PER_VERTEX = 2
+
+
+@kernel
+def _start_grid(
+    vertices: Int32Array, n: int, west: int, south: int, cell: int, height: int, width: int
+) -> Int32Array:
+    """A triangle near each cell of a raster: int32 [height * width]."""
+    grid = np.full(height * width, -1, np.int32)
+    for v in range(n):
+        row, column = (vertices[4 * v + 1] - south) // cell, (vertices[4 * v] - west) // cell
+        grid[row * width + column] = max(vertices[4 * v + 3], 0)
+    last = np.int32(0)
+    for k in range(grid.size):
+        if grid[k] < 0:
+            grid[k] = last
+        last = grid[k]
+    return grid
+
+
+class Locator(NamedTuple):
+    """Starts the walk of a point location near its end, so that points may come in any order.
+
+    Attributes
+    ----------
+    grid : int32 [height * width]
+        A triangle near each cell of a raster, row by row from the south-west.
+    west, south : int
+        Where the raster begins, local counts.
+    cell : int
+        Its cells' side, counts.
+    width, height : int
+    """
+
+    grid: Int32Array
+    west: int
+    south: int
+    cell: int
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, tin: Tin) -> Locator:
+        """For a TIN as it is now."""
+        n = int(tin.counters[N_VERTICES])
+        xy = tin.vertex_array[: 4 * n].reshape(-1, 4)
+        west, south = int(xy[:, 0].min()), int(xy[:, 1].min())
+        wide, high = int(xy[:, 0].max()) - west + 1, int(xy[:, 1].max()) - south + 1
+        cell = max(int(np.sqrt(wide * high / (GRID_CELLS_PER_VERTEX * n))), (wide + high) // (8 * n + 64) + 1)
+        width, height = wide // cell + 1, high // cell + 1
+        grid = _start_grid(tin.vertex_array, n, west, south, cell, height, width)
+        return cls(grid, west, south, cell, width, height)
+
+
+@kernel
+def start_near(locator: Locator, x: int, y: int) -> int:
+    """A triangle near (x, y), from which `ptd.tin.location.locate` walks."""
+    column = min(max((x - locator.west) // locator.cell, 0), locator.width - 1)
+    row = min(max((y - locator.south) // locator.cell, 0), locator.height - 1)
+    return wide(locator.grid[row * locator.width + column])
