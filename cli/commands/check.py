@@ -131,12 +131,15 @@ def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
 def _print_seams(facts: Mapping[str, Any]) -> None:
     keys = ("mean_step", "largest_step", "mean_jump", "largest_jump")
     rows = [
-        (name, f"{facts[name]['pairs']:,}", *(_number(facts[name][key]) for key in keys))
-        for name in ("interior", "tiles", "blocks")
+        (name.replace("_", " "), f"{facts[name]['pairs']:,}", *(_number(facts[name][key]) for key in keys))
+        for name in ("tiles", "beside_tiles", "blocks", "beside_blocks", "interior")
         if name in facts
     ]
     columns = ("pixels across", "pairs", "mean step", "largest step", "mean jump", "largest jump")
-    print_table(f"steps between pixels, {facts['unit']}, tiles of {facts['tile']:g}", columns, rows)
+    title = (
+        f"steps between pixels, {facts['unit']}, across edges of tiles of {facts['tile']:g} (unit of x and y)"
+    )
+    print_table(title, columns, rows)
 
 
 def _print_strips(facts: Mapping[str, Any]) -> None:

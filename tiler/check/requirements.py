@@ -54,7 +54,7 @@ METRICS: dict[str, Metric] = {
     "outliers": Metric("outliers", "accuracy", _nva("outliers"), is_length=False),
     "points": Metric("checkpoints that have a height", "accuracy", _nva("points"), False, at_least=True),
     "seam": Metric(
-        "mean jump across tile edges above the interior's", "seams", lambda seams: seams["excess"]
+        "mean jump across tile edges above that beside them", "seams", lambda seams: seams["excess"]
     ),
     "strips": Metric("RMSE between strips", "strips", lambda strips: strips["all"]["rmse"]),
 }

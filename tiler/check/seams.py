@@ -3,6 +3,9 @@
 A *step* is the absolute difference of two neighbouring pixels. A *jump* is what of it neither neighbour continues: for
 heights a, b, c, d in a row, the jump between b and c is |(c - b) - ((b - a) + (d - c)) / 2|, which is 0 on any plane
 and any even curve; so it shows a seam on steep ground as well.
+
+A few edges cross a few places, and those may be rougher than the rest; so edges are compared with the lines of pixels
+beside them, which cross the same places.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
 
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
@@ -24,6 +28,9 @@ from tiler.evaluate.heights import BLOCK, horizontal_unit, read_heights, vertica
 
 BLOCK_PIXELS = 512
 """Side of the blocks in which a run makes its rasters, counted from the north-west corner."""
+
+BESIDE = (3, 20)
+"""Lines of pixels from an edge that are beside it: the next two see half of its jump in their neighbours' slopes."""
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -57,11 +64,12 @@ class TileEdges:
 
 
 class Pairs(NamedTuple):
-    """Steps and jumps (NaN: none) between neighbours, and which pairs lie on an edge."""
+    """Steps and jumps (NaN: none) between neighbours, and which pairs lie on an edge, and beside one."""
 
     steps: Floats
     jumps: Floats
     on_edge: dict[str, Bools]
+    beside: dict[str, Bools]
 
 
 @dataclass
@@ -104,12 +112,15 @@ class _Counts:
 
     interior: Tally = field(default_factory=Tally)
     edges: dict[str, Tally] = field(default_factory=dict)
+    beside: dict[str, Tally] = field(default_factory=dict)
 
     def add(self, pairs: Pairs) -> None:
         inside = np.ones(pairs.steps.shape, np.bool_)
         for name, on_edge in pairs.on_edge.items():
             self.edges.setdefault(name, Tally()).add(pairs.steps[on_edge], pairs.jumps[on_edge])
             inside &= ~on_edge
+        for name, near in pairs.beside.items():
+            self.beside.setdefault(name, Tally()).add(pairs.steps[near], pairs.jumps[near])
         self.interior.add(pairs.steps[inside], pairs.jumps[inside])
 
 
@@ -128,7 +139,8 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
         ``unit`` (of the heights), ``metres_per_unit``; ``tile``, ``bucket`` (units of the CRS); ``interior``, ``tiles``
         and, if wanted, ``blocks``: ``pairs``,
         ``mean_step``, ``largest_step``, ``mean_jump``, ``largest_jump`` in units of the heights, None where there is
-        none; ``excess``: mean jump across edges of tiles above that of the interior.
+        none; ``beside_tiles``, ``beside_blocks``: the same of lines `BESIDE` the edges; ``excess``: mean jump across
+        edges of tiles above that beside them (of the interior, if tiles are too small for lines beside).
 
     Raises
     ------
@@ -152,9 +164,11 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
     except RasterioError as error:
         raise InputError(f"{dtm}: cannot be read ({' '.join(str(error).split())})") from error
     found = {name: tally.facts() for name, tally in counts.edges.items()}
+    found |= {f"beside_{name}": tally.facts() for name, tally in counts.beside.items()}
     interior = counts.interior.facts()
-    across, within = found["tiles"]["mean_jump"], interior["mean_jump"]
-    excess = None if across is None or within is None else across - within
+    across, near = found["tiles"]["mean_jump"], found["beside_tiles"]["mean_jump"]
+    near = interior["mean_jump"] if near is None else near
+    excess = None if across is None or near is None else across - near
     return {
         "unit": unit_label(metres), "metres_per_unit": float(metres), "tile": edges.tile,
         "bucket": edges.bucket, "interior": interior, **found, "excess": excess,
@@ -208,11 +222,14 @@ def _differences(heights: Floats, marks: dict[str, Bools]) -> Pairs:
     a, b, c, d = heights[:, :-3], heights[:, 1:-2], heights[:, 2:-1], heights[:, 3:]
     steps = np.abs(c - b)
     jumps = np.abs((c - b) - ((b - a) + (d - c)) / 2)
-    return Pairs(steps, jumps, {name: np.broadcast_to(mark, steps.shape) for name, mark in marks.items()})
+    every = {name: np.broadcast_to(mark, steps.shape) for name, mark in marks.items()}
+    kinds = [name for name in ("tiles", "blocks") if name in every]
+    beside = {name: every.pop(f"beside_{name}") for name in kinds}
+    return Pairs(steps, jumps, every, beside)
 
 
 def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bools]:
-    """For each pixel along an axis, whether an edge lies between its centre and that of the one before."""
+    """For each pixel along an axis, whether an edge lies between its centre and that of the one before, or near."""
     low, high = sorted((start, start + size * pixels))
     found = np.zeros(pixels + 1, np.bool_)
     for edge in edges.between(low, high):
@@ -224,7 +241,13 @@ def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str
     if edges.blocks:
         at = np.arange(pixels)
         marks["blocks"] = (at % BLOCK_PIXELS == 0) & (at > 0)
-    return marks
+    close = np.any([_within(BESIDE[0] - 1, mark) for mark in marks.values()], axis=0)
+    return marks | {f"beside_{name}": _within(BESIDE[1], mark) & ~close for name, mark in marks.items()}
+
+
+def _within(lines: int, mark: Bools) -> Bools:
+    """What lies no farther than so many lines from what is marked."""
+    return maximum_filter1d(mark.astype(np.uint8), 2 * lines + 1, mode="constant") > 0
 
 
 def edges_of_run(dtm: Path) -> TileEdges | None:

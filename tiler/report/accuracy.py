@@ -99,8 +99,8 @@ def _checkpoints(found: Mapping[str, Any]) -> list[Content]:
 def _seams(found: Mapping[str, Any]) -> Node:
     keys = {"pairs": "pairs", "mean_step": "mean step", "largest_step": "largest step"}
     rows = [
-        (name, *(_number(found[name].get(key), 4) for key in keys))
-        for name in ("interior", "tiles", "blocks")
+        (name.replace("_", " "), *(_number(found[name].get(key), 4) for key in keys))
+        for name in ("tiles", "beside_tiles", "blocks", "beside_blocks", "interior")
         if name in found
     ]
     heading = el("h3", f"Steps between pixels across the edges of tiles, {found['unit']}")

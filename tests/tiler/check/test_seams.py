@@ -49,6 +49,19 @@ def test_edges_of_the_wrong_lattice_show_nothing(tmp_path: Path) -> None:
     assert seam_steps(path, TileEdges(10 / 3 * 2))["excess"] < seam_steps(path, TileEdges(10))["excess"] / 2
 
 
+def test_rough_places_are_no_seams(tmp_path: Path) -> None:
+    """An edge through a rough strip is compared with the lines beside it, not with the smooth rest."""
+    noise = np.random.default_rng(4).normal(0, 1, (240, 240))
+
+    def rough(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(x - 120) < 20, noise, 0 * y)
+
+    facts = seam_steps(write_surface(tmp_path / "d.tif", rough, side=240), TileEdges(120))
+    assert facts["beside_tiles"]["pairs"] == 2 * 2 * 18 * 240  # 18 lines on each side of two edges
+    assert facts["tiles"]["mean_jump"] > facts["interior"]["mean_jump"] + 0.2
+    assert abs(facts["excess"]) < 0.1
+
+
 @pytest.mark.parametrize("west", [0.0, 3.0, -7.0])
 def test_edges_are_anchored_at_zero(tmp_path: Path, west: float) -> None:
     path = write_surface(tmp_path / "d.tif", lambda x, y: 0 * y + (np.floor(x / 10) % 2), west=west)
