@@ -157,7 +157,8 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
 def plain_value(value: Any) -> Any:
     """A value of a setting as JSON and TOML can hold it."""
     if isinstance(value, Fraction):
-        return str(value)
+        decimal = f"{float(value):.12g}"
+        return decimal if "e" not in decimal and Fraction(decimal) == value else str(value)
     if isinstance(value, tuple):
         return [plain_value(v) for v in value]
     return value

@@ -16,7 +16,7 @@ from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError
 
 FIGURES = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs", "max_abs", "outliers")
-HEADINGS = ("", "points", "RMSE", "mean", "median", "NMAD", "95 % within", "largest", "outliers")
+HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "largest", "outliers")
 
 
 @click.command("check", cls=TilerCommand)
@@ -94,10 +94,13 @@ def _print_report(report: Mapping[str, Any]) -> None:
         _print_seams(report["seams"])
     if "strips" in report:
         _print_strips(report["strips"])
+    from tiler.check import METRICS
+
     for requirement in report["requirements"]:
-        value = "not measured" if requirement["value"] is None else f"{requirement['value']:.4g}"
+        unit = " m" if METRICS[requirement["name"]].is_length else ""
+        value = "not measured" if requirement["value"] is None else f"{requirement['value']:.4g}{unit}"
         state = "met" if requirement["met"] else "NOT met"
-        click.echo(f"required {requirement['name']} {requirement['limit']:g}: {value}, {state}")
+        click.echo(f"required {requirement['name']} {requirement['limit']:g}{unit}: {value}, {state}")
     for path in report["figures"]:
         click.echo(f"drawn   {path}")
 

@@ -223,8 +223,10 @@ def _differences(heights: Floats, marks: dict[str, Bools]) -> Pairs:
     steps = np.abs(c - b)
     jumps = np.abs((c - b) - ((b - a) + (d - c)) / 2)
     every = {name: np.broadcast_to(mark, steps.shape) for name, mark in marks.items()}
-    kinds = [name for name in ("tiles", "blocks") if name in every]
-    beside = {name: every.pop(f"beside_{name}") for name in kinds}
+    beside: dict[str, Bools] = {}
+    for name in ("tiles", "blocks"):
+        if name in every:
+            beside[name] = every.pop(f"beside_{name}")
     return Pairs(steps, jumps, every, beside)
 
 

@@ -120,7 +120,8 @@ def failure_text(fields: dict[str, Any]) -> str:
 def start_text(stage: _Stage) -> str:
     """What a stage has before it."""
     if stage.tasks_done >= stage.tasks:
-        return f"nothing to do, all {stage.tasks} tasks were done before"
+        done = "its one task was" if stage.tasks == 1 else f"all {stage.tasks} tasks were"
+        return f"nothing to do, {done} done before"
     before = f" ({stage.tasks_done} of {stage.tasks} were done before)" if stage.tasks_done else ""
     points = f", {count_text(stage.points)} points" if stage.points else ""
     todo = stage.tasks - stage.tasks_done

@@ -13,7 +13,7 @@ from tiler.report.document import Content, Node, el, facts, table
 CHECK, EVALUATION = "check.json", "evaluate.json"
 """Names in OUT under which ``--json`` of `tiler check` and `tiler evaluate` are looked for."""
 
-FIGURES = {"points": "points", "rmse_v": "RMSE", "bias": "mean", "median": "median", "nmad": "NMAD",
+FIGURES = {"points": "points", "rmse_v": "RMSEV", "bias": "mean", "median": "median", "nmad": "NMAD",
            "p95_abs": "95 % within", "max_abs": "largest", "outliers": "outliers"}  # fmt: skip
 
 HOW = (

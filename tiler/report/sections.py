@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from tiler.core.products import HOLE, MASK_VALUES, OUTSIDE
 from tiler.observe.progress import count_text, duration_text, size_text
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.pictures import Pictures
@@ -57,13 +58,14 @@ def _sentence(run: Run, left_out: str) -> str:
     seconds = f" in {duration_text(run['seconds'])}" if "seconds" in run and not done_before(run) else ""
     missing = f" Left out: {left_out}; see Problems." if left_out else " Nothing was left out."
     return (
-        f"{what} from {plan['points']:,} points of {plan['inputs']:,} {_files(plan['inputs'])}, "
+        f"{what} from {plan['points']:,} points of {counted(plan['inputs'], 'file')}, "
         f"{plan['area_m2'] / SQUARE_KM:,.3g} km2, by the method {plan['method']}{seconds}.{missing}"
     )
 
 
-def _files(number: int) -> str:
-    return "file" if number == 1 else "files"
+def counted(number: int, name: str) -> str:
+    """So many of what has a name."""
+    return f"{number:,} {name}" if number == 1 else f"{number:,} {name}s"
 
 
 def _figures(run: Run) -> Iterator[tuple[str, str]]:
@@ -76,7 +78,14 @@ def _figures(run: Run) -> Iterator[tuple[str, str]]:
     if "dtm" in run:
         dtm = run["dtm"]
         yield f"pixels of {dtm['resolution_m']:g} m", f"{dtm['width']:,} x {dtm['height']:,}"
-        yield "of them with a height", f"{dtm['filled'] / max(dtm['width'] * dtm['height'], 1):.1%}"
+        pixels = max(dtm["width"] * dtm["height"], 1)
+        if "mask" in run:
+            # Of the raster's rectangle a ragged survey leaves much, of which nothing is missing.
+            inside = pixels - run["mask"][MASK_VALUES[OUTSIDE]]
+            holes = run["mask"][MASK_VALUES[HOLE].split(":")[0]]
+            yield "of the survey with a height", f"{(inside - holes) / max(inside, 1):.1%}"
+        else:
+            yield "of them with a height", f"{dtm['filled'] / pixels:.1%}"
     if "seconds" in run:
         yield "time of the last run" if done_before(run) else "time", duration_text(run["seconds"])
     yield "peak memory of a process", size_text(run["peak_rss_bytes"])

@@ -10,7 +10,7 @@ from urllib.parse import quote
 from tiler.observe.progress import duration_text, rate_text, size_text
 from tiler.report.document import Content, Node, el, facts, section, table
 from tiler.report.mapdata import stage_title
-from tiler.report.sections import MOST_ROWS, Run, done_before, value_text
+from tiler.report.sections import MOST_ROWS, Run, counted, done_before, value_text
 
 SLOWEST = 10
 
@@ -57,8 +57,8 @@ def inputs(run: Run) -> Node:
     ]  # fmt: skip
     columns = ("file", "points", "stored", "format", "size", "CRS", "warnings")
     more = f"{len(files) - MOST_ROWS:,} more are in run.json." if len(files) > MOST_ROWS else None
-    about = f"{len(files):,} files" + (
-        f", {len(warned)} notes: see Decided automatically." if warned else "."
+    about = counted(len(files), "file") + (
+        f", {counted(len(warned), 'note')}: see Decided automatically." if warned else "."
     )
     return section(
         "inputs",
