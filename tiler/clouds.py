@@ -27,14 +27,15 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     bad = {source_of(f["key"]): f["error"] for f in job.failed if f["stage"] == "spool"}
     job.failed = [f for f in job.failed if f["stage"] != "spool"]
     good = [s for s in sources if s.name not in bad]
-    for source in sources:
-        error = bad.get(source.name)
-        if error is not None:
-            job.quarantined.append({"path": str(source.info.path), "error": error})
-            job.listener("warning", {"text": f"{source.info.path}: left out: {error}"})
-    spooled = {k: c for k, c in spooled.items() if source_of(k) not in bad}
+    left_out = [(str(s.info.path), bad[s.name]) for s in sources if s.name in bad]
+    job.quarantined += [{"path": path, "error": error} for path, error in left_out]
+    # What an error says may not name the file: a worker died.
+    lines = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in left_out]
     if not good:
-        raise InputError(f"no input could be read; the first: {job.quarantined[0]['error']}")
+        raise InputError(f"no input could be read; the first: {lines[0]}")
+    for text in lines:
+        job.listener("warning", {"text": text})
+    spooled = {k: c for k, c in spooled.items() if source_of(k) not in bad}
     records = [record for _, record in spooled.values()]
     dropped: Counter[str] = Counter()
     for record in records:

@@ -33,6 +33,12 @@ class StoreError(TilerError):
     """A store that tiler did not write, of another version, or damaged."""
 
 
+class ForeignStoreError(StoreError):
+    """Something else than a store of this version is where the store should be: another place has to be named."""
+
+    exit_code = 2
+
+
 class DamagedError(StoreError):
     """Objects of a store that are damaged or gone; a run does again what wrote them.
 

@@ -61,6 +61,8 @@ def run(
     if until not in STAGES:
         raise ConfigError(f"no stage {until!r}; there are {', '.join(STAGES)}")
     config, products = config or RunConfig(), str(out)
+    if not products:
+        raise ConfigError("-o: has no name; name a folder for the results")
     out = Path(products.rstrip("/").rpartition("/")[2] if is_url(products) else products)
     started = time.monotonic()
     plan = make_plan(inputs, config, None if is_url(products) else out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 from collections.abc import Iterator
@@ -36,6 +37,18 @@ def cloud_path(text: str | Path) -> Path:
         raise ConfigError(
             f"{text}: cannot be read ({error}); copy it here, or install 'tiler-dtm[cloud]'"
         ) from error
+
+
+LONGEST_NAME = 255
+"""Bytes of the name of a file, on most file systems."""
+
+
+def partial_path(target: Path) -> Path:
+    """Where a file is written until it is whole: its name and ``.partial``, or a short one where that is too long."""
+    name = f"{target.name}.partial"
+    if len(os.fsencode(name)) > LONGEST_NAME:
+        name = f"{hashlib.blake2b(os.fsencode(name), digest_size=16).hexdigest()}.partial"
+    return target.with_name(name)
 
 
 @contextmanager

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any
 
@@ -16,32 +17,30 @@ _BYTES = {"": 1, "b": 1, "k": 1000, "kb": 1000, "kib": 1024, "m": 10**6, "mb": 1
           "g": 10**9, "gb": 10**9, "gib": 1 << 30, "t": 10**12, "tb": 10**12, "tib": 1 << 40}  # fmt: skip
 
 
-def parse_bytes(text: str | int) -> int:
+def parse_bytes(value: Any) -> int:
     """A memory size in bytes: ``1000000``, ``4GB``, ``2GiB``, ``512M``; raises ConfigError."""
-    if isinstance(text, int):
-        return text
-    number = text.strip().rstrip("bBkKmMgGtTiI")
-    unit = text.strip()[len(number) :].lower()
+    text = str(value).strip()
+    number = text.rstrip("bBkKmMgGtTiI")
     try:
-        size = int(float(number) * _BYTES[unit])
+        size = int(float(number) * _BYTES[text[len(number) :].lower()])
     except (ValueError, KeyError, OverflowError):
-        raise ConfigError(f"{text!r} is no memory size: write 4GB, 512MiB or a number of bytes") from None
+        raise ConfigError(f"{value!r} is no memory size: write 4GB, 512MiB or a number of bytes") from None
     if size <= 0:
-        raise ConfigError(f"{text!r} is no memory size: it must be above 0")
+        raise ConfigError(f"{value!r} is no memory size: it must be above 0")
     return size
 
 
-def parse_classes(text: str | int | list[int] | tuple[int, ...]) -> tuple[int, ...]:
-    """ASPRS classes: ``7,18``; ``none`` or an empty text is no class; raises ConfigError."""
-    if text == "none":
+def parse_classes(value: Any) -> tuple[int, ...]:
+    """ASPRS classes: ``7,18``, 7 or a list; ``none`` or an empty text is no class; raises ConfigError."""
+    if value == "none":
         return ()
-    parts = [p for p in text.split(",") if p.strip()] if isinstance(text, str) else text
+    parts = value if isinstance(value, list | tuple) else [p for p in str(value).split(",") if p.strip()]
     try:
-        classes = tuple(sorted({int(p) for p in ([parts] if isinstance(parts, int) else parts)}))
+        classes = tuple(sorted({int(str(p)) for p in parts}))
     except ValueError:
-        raise ConfigError(f"{text!r} are no classes: write numbers with commas, like 7,18") from None
+        raise ConfigError(f"{value!r} are no classes: write numbers with commas, like 7,18") from None
     if any(not 0 <= c <= 255 for c in classes):
-        raise ConfigError(f"{text!r}: classes are 0 to 255")
+        raise ConfigError(f"{value!r}: classes are 0 to 255")
     return classes
 
 
@@ -92,17 +91,34 @@ def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
     """``name=value`` settings of a method, from strings or a mapping; raises ConfigError."""
     if isinstance(value, Mapping):
         return tuple((str(k), str(v)) for k, v in value.items())
+    if not isinstance(value, list | tuple):
+        raise ConfigError(f"parameters {value!r}: must be a table of name = value, or a list of 'name=value'")
     pairs = []
     for item in value:
-        name, sign, text = item.partition("=") if isinstance(item, str) else (item[0], "=", str(item[1]))
+        pair = isinstance(item, list | tuple) and len(item) == 2
+        name, sign, text = (str(item[0]), "=", str(item[1])) if pair else str(item).partition("=")
         if not sign or not name:
             raise ConfigError(f"--set {item}: write name=value; `tiler methods` lists the names")
         pairs.append((name.strip(), text.strip()))
     return tuple(pairs)
 
 
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    """Say of which setting an error is."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from error
+
+
+FARTHEST = 9e12
+"""Units of the CRS: what is not nearer to its origin is no coordinate, see `tiler.ingest.requantise.BEYOND`."""
+
+
 def _positive_length(name: str, value: Any) -> Fraction:
-    length = parse_length(value)
+    with _named(name):
+        length = parse_length(value)
     if length < 0 or (length == 0 and name not in ("halo", "erode")):
         raise ConfigError(f"{name} {value}: must be above 0")
     return length
@@ -115,6 +131,10 @@ def _bounds(value: Any) -> tuple[float, float, float, float]:
         raise ConfigError(f"bounds {value!r}: write four numbers X0 Y0 X1 Y1 in units of the CRS") from None
     if not (x0 < x1 and y0 < y1):
         raise ConfigError(f"bounds {value!r}: X0 must be below X1 and Y0 below Y1")
+    if not all(abs(v) < FARTHEST for v in (x0, y0, x1, y1)):
+        raise ConfigError(
+            f"bounds {value!r}: nothing lies farther than {FARTHEST:g}; write coordinates of the CRS"
+        )
     return x0, y0, x1, y1
 
 
@@ -128,9 +148,11 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
     if kind == "length":
         return _positive_length(spec.name, value)
     if kind == "bytes":
-        return parse_bytes(value)
+        with _named(spec.name):
+            return parse_bytes(value)
     if kind == "classes":
-        return parse_classes(value)
+        with _named(spec.name):
+            return parse_classes(value)
     if kind == "nodata":
         return parse_nodata(value)
     if kind == "surface":

@@ -83,13 +83,18 @@ def test_options_win_over_the_file(effective: Any, tmp_path: Path) -> None:
      ("salvage = 'yes'", "salvage 'yes'"), ("compress = 'zip'", "compress 'zip'"),
      ("products = 'dtm,dms'", "products 'dms'"), ("products = []", "products: names"), ("products = 3", "products 3"),
      ("surface = 'p101'", "surface 'p101'"), ("surface = 'mean'", "surface 'mean'"), ("voids = 'mend'", "voids 'mend'"),
-     ("interpolation = 'spline'", "interpolation 'spline'"), ("erode = '-1'", "'-1'")],
+     ("interpolation = 'spline'", "interpolation 'spline'"), ("erode = '-1'", "erode: '-1'"),
+     ("parameters = 3", "parameters 3"), ("parameters = [1]", "--set 1"), ("memory = -1", "memory: -1"),
+     ("memory = true", "memory: True"), ("memory = [1]", "memory: [1]"),
+     ("keep_classes = [1.5]", "keep_classes: [1.5]"), ("keep_classes = true", "keep_classes: True"),
+     ("bounds = [-inf, 0, inf, 1]", "bounds"),
+     ("bounds = [1e300, 0, 1e301, 1]", "bounds [1e+300"), ("method = 'm\udcff'", "byte 11 is no UTF-8")],
 )  # fmt: skip
 def test_a_bad_file_is_one_line(
     text: str, error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "settings.toml"
-    file.write_text(text)
+    file.write_text(text, "utf-8", "surrogateescape")
     assert main(["config", "--config", str(file)]) == 2
     captured = capsys.readouterr().err
     assert error in captured
@@ -143,3 +148,10 @@ def test_any_plain_value_is_a_line_that_toml_reads_back(value: Any) -> None:
     line = toml_line("name", value)
     assert "\n" not in line
     assert tomllib.loads(line)["name"] == value
+
+
+def test_a_file_of_windows_is_read(effective: Any, tmp_path: Path) -> None:
+    file = tmp_path / "settings.toml"
+    file.write_bytes("resolution = 2\r\nmemory = 2000000000\r\nkeep_classes = 7\r\n".encode("utf-8-sig"))
+    config = effective("--config", str(file))
+    assert (config.resolution, config.memory, config.keep_classes) == (2, 2_000_000_000, (7,))

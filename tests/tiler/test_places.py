@@ -10,6 +10,7 @@ import pytest
 
 from tiler import places
 from tiler.errors import ConfigError, ProcessingError
+from tiler.places import partial_path
 
 
 @pytest.fixture
@@ -89,3 +90,12 @@ def test_a_target_that_refuses(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"x")
     with pytest.raises(ProcessingError, match="cannot be written"):
         places.put_file(tmp_path / "x", "nosuch://x/y")
+
+
+def test_a_long_name_has_a_short_one_until_it_is_whole(tmp_path: Path) -> None:
+    assert partial_path(tmp_path / "a.laz") == tmp_path / "a.laz.partial"
+    long = [tmp_path / ("ä" * 125 + end) for end in ("1.laz", "2.laz")]
+    found = {partial_path(path) for path in long}
+    assert len(found) == 2, "each has its own"
+    for path in found:
+        path.write_bytes(b"")

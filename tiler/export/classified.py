@@ -26,7 +26,7 @@ from tiler.las.headers import LasHeader, read_header
 from tiler.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
 from tiler.las.records import VariableRecord
 from tiler.las.writer import PointWriter, laszip_vlr
-from tiler.places import cloud_path, folder_for, open_cloud
+from tiler.places import cloud_path, folder_for, open_cloud, partial_path
 from tiler.store import TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27
@@ -74,7 +74,7 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
 
 def _write(store: TileStore, header: LasHeader, args: dict[str, Any], out: Path) -> dict[str, Any]:
     """Write a cloud on this machine; the record of `write_classified`."""
-    partial = out.with_name(out.name + ".partial")
+    partial = partial_path(out)
     cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

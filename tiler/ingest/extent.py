@@ -13,6 +13,7 @@ from tiler.ingest.patches import Patch, find_patches
 from tiler.las.columns import returns
 from tiler.las.headers import LasHeader
 from tiler.las.reader import COORDINATES, PointReader, Records, rows_at_once
+from tiler.values import FARTHEST
 
 _PLACES = 16
 _SAMPLE = 2048
@@ -21,8 +22,6 @@ _BLOCK_BYTES = 1 << 19
 """Of an object: about what a chunk's coordinates take."""
 _WIDEST = 1e6
 """Units of a credible extent: from anywhere within it, int32 counts reach all of it."""
-_COORDINATE = 9e12
-"""Beyond this nothing is a coordinate, see `tiler.ingest.requantise.BEYOND`."""
 
 FEW = 10
 SHARE = 1000
@@ -147,9 +146,9 @@ class _Hull:
                 values = block[name]
                 with np.errstate(over="ignore", invalid="ignore"):
                     ends = np.array([int(values.min()), int(values.max())]) * scale + offset
-                    if not np.all(np.abs(ends) < _COORDINATE):
+                    if not np.all(np.abs(ends) < FARTHEST):
                         places = values.astype(np.float64) * scale + offset
-                        places = places[np.abs(places) < _COORDINATE]
+                        places = places[np.abs(places) < FARTHEST]
                         if places.size == 0:
                             continue
                         ends = np.array([places.min(), places.max()])

@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, unit_label
+from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit, unit_label
 
 DIRECTORY = 34735
 
@@ -53,7 +53,8 @@ def crs_of_keys(directory: bytes) -> KeyedCrs:
         own = horizontal.axis_info[0].unit_conversion_factor
         if abs(own / float(unit) - 1) > 1e-9:
             notes.append(
-                f"its GeoTIFF keys say {unit_label(unit)}, EPSG:{keys[_PROJECTED]} another unit: used"
+                f"its GeoTIFF keys say {unit_label(unit)}, their EPSG:{keys[_PROJECTED]} is in "
+                f"{unit_label(exact_unit(own))}, which counts; --units says otherwise"
             )
     vertical = _of_code(keys.get(_VERTICAL), [])
     if vertical is not None and not vertical.is_vertical:

@@ -199,7 +199,8 @@ def _given(text: str | None) -> Georeference | None:
             f"--crs {text}: {' '.join(str(error).split())[:150]}; write EPSG:25832, a WKT, or none"
         ) from error
     if found.kind not in ("projected", "local"):
-        raise ConfigError(f"--crs {text}: {found.name} is {found.kind}; name a projected CRS")
+        kind = "; ".join(found.notes) if found.kind == "missing" else f"{found.name} is {found.kind}"
+        raise ConfigError(f"--crs {text}: {kind}; name a projected CRS")
     return found
 
 

@@ -127,7 +127,8 @@ def find_inputs(
     found: dict[Path, Path] = {}
     for text in paths:
         for path in _expand(str(text), barred, note):
-            real = path.resolve()
+            # Not `Path.resolve`, which fails for a link that leads in a circle: that is told of when it is read.
+            real = path if is_url(path) else Path(os.path.realpath(path))
             if real in found:
                 note(f"{path}: named twice (as {found[real]}), read once")
             else:
@@ -143,10 +144,16 @@ def _expand(text: str, barred: set[Path], note: Callable[[str], None]) -> Iterat
     if is_url(text):
         yield from list_clouds(text, SUFFIXES)
         return
+    if not text:
+        raise ConfigError("an input has no name at all; name LAS or LAZ files, folders or globs")
     path = Path(text)
-    if path.is_dir():
+    try:
+        is_folder, is_there = path.is_dir(), path.exists() or path.is_symlink()
+    except OSError as error:
+        raise ConfigError(f"{text}: {error.strerror}; name LAS or LAZ files, folders or globs") from error
+    if is_folder:
         yield from _walk(path, barred, note)
-    elif path.exists():
+    elif is_there:
         yield path
     else:
         matches = sorted(glob.glob(text, recursive=True))

@@ -14,7 +14,7 @@ from stat import S_ISREG
 from typing import BinaryIO, NoReturn
 
 from tiler.errors import InputError
-from tiler.las.laz import LazDamage, LazLayout, parse_laszip, read_table, walk_chunks
+from tiler.las.laz import LazDamage, LazLayout, bytes_of_points, parse_laszip, read_table, walk_chunks
 from tiler.las.records import VariableRecord, walk_records
 from tiler.places import open_cloud, stat_cloud
 
@@ -50,6 +50,8 @@ class LasHeader:
         Finite scales above 0, finite offsets; the bounds are as the file says, true or not.
     waveform_start : int
         Byte of the waveform packets (LAS 1.3 and later), else 0.
+    evlrs_start : int
+        Byte of the first EVLR that the header tells of (LAS 1.4), else 0.
     vlrs, evlrs : tuple of VariableRecord
         Those that are there.
     laz : LazLayout or None
@@ -75,6 +77,7 @@ class LasHeader:
     mins: tuple[float, float, float]
     maxs: tuple[float, float, float]
     waveform_start: int
+    evlrs_start: int = 0
     vlrs: tuple[VariableRecord, ...] = ()
     evlrs: tuple[VariableRecord, ...] = ()
     laz: LazLayout | None = None
@@ -85,6 +88,12 @@ class LasHeader:
     def prefers_wkt(self) -> bool:
         """The global encoding says that the CRS is the WKT record's."""
         return bool(self.global_encoding & _WKT_BIT)
+
+    @property
+    def points_end(self) -> int:
+        """The first byte that cannot be a point's: of the waveforms, of the EVLRs, or behind the file."""
+        starts = (self.waveform_start, self.evlrs_start, self.size)
+        return min(start for start in starts if self.points_offset <= start <= self.size)
 
     def noted(self, text: str) -> LasHeader:
         """The same with one more note."""
@@ -164,14 +173,15 @@ def _fixed_block(path: Path, stream: BinaryIO, size: int, mtime_ns: int, salvage
             path, f"says records of {length} bytes, format {form & 0x3F} needs {_RECORD_SIZES[form & 0x3F]}"
         )
     bounds = fields[27:33]
-    waveform, count = 0, legacy_count
+    waveform, evlrs, count = 0, 0, legacy_count
     if minor == 3:
         (waveform,) = struct.unpack_from("<Q", raw, 227)
     if minor >= 4:
-        waveform, _, _, count = _LAS14.unpack_from(raw, 227)
+        waveform, evlrs, n_evlrs, count = _LAS14.unpack_from(raw, 227)
+        evlrs = evlrs if n_evlrs else 0
     header = LasHeader(
         path, size, mtime_ns, (major, minor), encoding, header_size, points_offset, form & 0x3F, length,
-        count or legacy_count, fields[21:24], fields[24:27], bounds[1::2], bounds[0::2], waveform,
+        count or legacy_count, fields[21:24], fields[24:27], bounds[1::2], bounds[0::2], waveform, evlrs,
     )  # fmt: skip
     if not all(math.isfinite(s) and s > 0 for s in header.scales):
         refuse(path, f"scale factors {header.scales} are not all above 0 and finite")
@@ -222,7 +232,15 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
 
 
 def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
-    """The points of a LAS file: there must be room for them."""
+    """The points of a LAS file: there must be room for them, and no more than that where there are none."""
+    room = (header.points_end - header.points_offset) // header.record_length
+    if header.point_count == 0 and room:
+        what = f"says 0 points, has room for {room}: it was never finished"
+        if not salvage:
+            refuse(header.path, what, SALVAGE)
+        return replace(header, point_count=room).noted(what)
+    if header.point_count < room:
+        return header.noted(f"says {header.point_count} points, has room for {room}: the rest is not read")
     room = max(header.size - header.points_offset, 0) // header.record_length
     if header.point_count <= room:
         return header
@@ -234,11 +252,15 @@ def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
 
 def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, salvage: bool) -> LasHeader:
     """The points of a LAZ file: the table of chunks must be there and agree."""
-    if header.point_count == 0:
+    behind = bytes_of_points(stream, header.points_offset, header.points_end, header.size)
+    if header.point_count == 0 and behind < layout.least_chunk:
         return header
     if header.point_count > max(_MANY, _DENSEST * header.size) and header.point_count != _UNKNOWN:
         refuse(header.path, f"says {header.point_count} points in {header.size} bytes")
     try:
+        if header.point_count == 0:
+            header = replace(header, point_count=_UNKNOWN)
+            raise LazDamage(f"says 0 points, has {behind} bytes of them: it was never finished")
         counts, sizes = read_table(stream, layout, header.points_offset, header.size, header.point_count)
         return replace(header, laz=replace(layout, counts=counts, sizes=sizes))
     except LazDamage as damage:

@@ -60,6 +60,11 @@ class LazLayout:
     sizes: npt.NDArray[np.int64]
     rebuilt: bool = False
 
+    @property
+    def least_chunk(self) -> int:
+        """Bytes that a chunk of one point has at least."""
+        return self.item_size + (4 + 4 * self.layers if self.layers else 0)
+
 
 def parse_laszip(record_data: bytes) -> LazLayout:
     """The layout that a laszip record describes, without a table; raises LazDamage."""
@@ -94,11 +99,7 @@ def read_table(
     The number of chunks is held against the bytes that are there before lazrs reads the table.
     """
     data = points_offset + 8
-    stream.seek(points_offset)
-    table = _int64(stream)
-    if table == -1 and file_size >= data + 8:  # a writer that could not seek put the position last
-        stream.seek(file_size - 8)
-        table = _int64(stream)
+    table = _table_position(stream, data, file_size)
     if not data <= table <= file_size - 8:
         raise LazDamage(
             f"its chunk table should be at byte {table} of {file_size}: the file is cut short or unfinished"
@@ -122,26 +123,46 @@ def read_table(
             raise
         raise LazDamage(f"its chunk table makes the decoder fail ({error})") from error
     counts, sizes = entries.reshape(-1, 2).T
-    counts = _true_counts(layout, counts, point_count)
+    counts = _true_counts(layout, counts, sizes, point_count)
     sizes = sizes[: counts.size]
     if sizes.size and (int(sizes.min()) < 0 or int(sizes.sum()) > table - data):
         raise LazDamage(f"its chunk table says {int(sizes.sum())} bytes of points, {table - data} are there")
     return counts, np.ascontiguousarray(sizes)
 
 
-def _true_counts(layout: LazLayout, counts: npt.NDArray[np.int64], point_count: int) -> npt.NDArray[np.int64]:
+def _true_counts(
+    layout: LazLayout, counts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64], point_count: int
+) -> npt.NDArray[np.int64]:
     """Points of each chunk (the last one of equal chunks is not full); raises LazDamage."""
     if layout.chunk_size is None:
         if int(counts.sum()) != point_count:
             raise LazDamage(f"its chunks have {int(counts.sum())} points, its header says {point_count}")
         return np.ascontiguousarray(counts)
     needed = -(-point_count // layout.chunk_size)
-    if not needed <= counts.size <= needed + 1:
+    behind = int(sizes[needed]) if counts.size == needed + 1 else 0
+    if not needed <= counts.size <= needed + 1 or behind >= layout.least_chunk:
         raise LazDamage(f"its chunk table has {counts.size} chunks, {point_count} points need {needed}")
     full = np.full(needed, layout.chunk_size, dtype=np.int64)
     if needed:
         full[-1] = point_count - (needed - 1) * layout.chunk_size
     return full
+
+
+def bytes_of_points(stream: BinaryIO, points_offset: int, end: int, file_size: int) -> int:
+    """Bytes between the position of the table of chunks and the table, or ``end`` where none is there."""
+    data = points_offset + 8
+    table = _table_position(stream, data, file_size)
+    return (table if data <= table <= file_size - 8 else end) - data
+
+
+def _table_position(stream: BinaryIO, data: int, file_size: int) -> int:
+    """Byte of the chunk table, as the file says."""
+    stream.seek(data - 8)
+    table = _int64(stream)
+    if table == -1 and file_size >= data + 8:  # a writer that could not seek put the position last
+        stream.seek(file_size - 8)
+        table = _int64(stream)
+    return table
 
 
 def _int64(stream: BinaryIO) -> int:
@@ -175,6 +196,8 @@ def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first:
             raise LazDamage(
                 f"chunk {chunk} says {claim[1] if claim else 'more'} bytes, its table {size}: damaged"
             )
+        if layout.counts[chunk] and claim is not None and claim[0] != layout.counts[chunk]:
+            raise LazDamage(f"chunk {chunk} has {claim[0]} points, by the header {layout.counts[chunk]}")
         start += size
 
 

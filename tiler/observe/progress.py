@@ -12,6 +12,8 @@ from tiler.observe.events import Listener
 from tiler.observe.logs import printable
 
 _LINE_INTERVAL_SECONDS = 15.0
+TOLD_BY_FILE = "spool"
+"""The stage whose failed tasks are told once for each file, as a warning that names it."""
 
 
 def rate_text(points: float, seconds: float) -> str:
@@ -81,7 +83,7 @@ class _PlainLines:
     def __call__(self, event: str, fields: dict[str, Any]) -> None:
         if event in ("note", "warning"):
             self._write(message_text(event, fields))
-        elif event == "task_failed":
+        elif event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
             self._write(failure_text(fields))
         elif event == "stage_started":
             stage = _stage_of(fields, self._clock())
@@ -161,7 +163,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
         def listen(event: str, fields: dict[str, Any]) -> None:
             if event in ("note", "warning"):
                 bars.console.print(printable(message_text(event, fields)), markup=False, highlight=False)
-            elif event == "task_failed":
+            elif event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
                 bars.console.print(printable(failure_text(fields)), markup=False, highlight=False)
             elif event == "stage_started":
                 stage = _stage_of(fields, time.monotonic())

@@ -71,7 +71,7 @@ def _gathered(
     # One number a cell: sorting pairs takes ten times as long.
     numbers, place = np.unique((cells[:, 0] - low[0]) * height + cells[:, 1] - low[1], return_inverse=True)
     once = np.stack(np.divmod(numbers, height), axis=1) + low
-    return once, np.bincount(place, weights)
+    return once, np.bincount(place, weights).astype(np.float64)
 
 
 def _shares(

@@ -113,7 +113,12 @@ def _instead(plan: Plan, stage: str) -> str:
 
 
 def _refuse_disk(plan: Plan, out: Path) -> None:
-    existing = next(p for p in (out, *out.resolve().parents) if p.exists())
+    try:
+        existing = next(p for p in (out, *Path(os.path.realpath(out)).parents) if p.exists())
+    except OSError as error:
+        raise ConfigError(f"-o {out}: {error.strerror}; name another folder") from error
+    if not existing.is_dir():
+        raise ConfigError(f"-o {out}: {existing} is a file; name a folder")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise ConfigError(f"-o {out}: {existing} cannot be written; name a folder on a disk that can")
     disk = projected_disk(plan)

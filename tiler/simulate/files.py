@@ -12,6 +12,7 @@ import numpy as np
 
 from tiler.errors import ConfigError, ProcessingError
 from tiler.observe.events import Listener, silent
+from tiler.places import partial_path
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
 from tiler.simulate.cloud import CloudWriter, write_dtm
 from tiler.simulate.points import CLASS_NAMES, patches, survey_patch
@@ -121,7 +122,7 @@ def write_scene(
         raise ConfigError(f"{path}: a simulated cloud is LAZ or LAS; name it .laz")
     _within("--resolution", pixel_m, *PIXEL_RANGE_M, "m")
     dtm = path.with_name(f"{path.stem}_dtm.tif")
-    part, dtm_part = (target.with_name(target.name + ".partial") for target in (path, dtm))
+    part, dtm_part = (partial_path(target) for target in (path, dtm))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         counts = _write_cloud(part, path.suffix.lower() == ".laz", spec, listener)

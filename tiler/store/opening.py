@@ -6,7 +6,7 @@ import json
 
 import zarr
 
-from tiler.errors import ConfigError, StoreError
+from tiler.errors import ConfigError, ForeignStoreError, StoreError
 from tiler.store import layout, lock
 from tiler.store.meta import StoreMeta
 from tiler.store.storage import Storage, failed_write
@@ -31,8 +31,10 @@ def create_store(url: str, meta: StoreMeta) -> TileStore:
                 f"{url}: holds a store of other settings or inputs; use --overwrite or another --store"
             )
         return store
+    if storage.root is not None and storage.root.is_file():
+        raise ForeignStoreError(f"{url}: is a file, not a tile store; give another place")
     if storage.names(""):
-        raise StoreError(f"{url}: holds something else than a tile store; give an empty or new place")
+        raise ForeignStoreError(f"{url}: holds something else than a tile store; give an empty or new place")
     attributes = {layout.ROOT_ATTRIBUTE: {"schema": layout.SCHEMA_VERSION, **meta.to_json()}}
     try:
         zarr.create_group(storage.zarr_store, attributes=attributes, zarr_format=3)
@@ -58,9 +60,9 @@ def open_store(url: str) -> TileStore:
         description = root["attributes"][layout.ROOT_ATTRIBUTE]
         schema = description["schema"]
     except (ValueError, KeyError, TypeError) as error:
-        raise StoreError(f"{url}: not a tile store of tiler; give another path") from error
+        raise ForeignStoreError(f"{url}: not a tile store of tiler; give another path") from error
     if schema != layout.SCHEMA_VERSION:
-        raise StoreError(
+        raise ForeignStoreError(
             f"{url}: store of schema {schema}, this version reads {layout.SCHEMA_VERSION}; run again with --overwrite"
         )
     try:
@@ -88,9 +90,9 @@ def remove_store(url: str) -> None:
     data = storage.get("zarr.json")
     if data is None:
         if storage.names(""):
-            raise StoreError(f"{url}: holds something else than a tile store; remove it yourself")
+            raise ForeignStoreError(f"{url}: holds something else than a tile store; remove it yourself")
         return
     if layout.ROOT_ATTRIBUTE.encode() not in data:
-        raise StoreError(f"{url}: not a tile store of tiler; remove it yourself")
+        raise ForeignStoreError(f"{url}: not a tile store of tiler; remove it yourself")
     lock.refuse_if_held(storage)
     storage.delete_everything()

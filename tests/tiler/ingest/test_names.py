@@ -59,6 +59,17 @@ def test_what_is_no_file_is_refused_and_not_waited_for(kind: str, tmp_path: Path
         inspect(path)
 
 
+def test_inputs_that_are_no_place_are_refused(tmp_path: Path) -> None:
+    for text in ("", "x" * 5000):
+        with pytest.raises(ConfigError, match="name LAS or LAZ files"):
+            find_inputs([text])
+    for one, other in (("a.las", "b.las"), ("b.las", "a.las")):
+        (tmp_path / one).symlink_to(other)
+    for inputs in ("a.las", "*.las", ""):
+        with pytest.raises(InputError, match=r"las: cannot be read \(Too many levels of symbolic links"):
+            make_plan([str(tmp_path / inputs)], RunConfig(in_process=True, on_error="stop"))
+
+
 @pytest.mark.parametrize(
     "name", [b"gr\xfc\xdfe.las", b"line\nbreak.las", b"\x1b[2Jclear.las", b"-o.las", b"a b;$(c).las"]
 )

@@ -152,3 +152,36 @@ def test_items_of_a_newer_laszip_are_refused_by_version(make_cloud: Any) -> None
     patch(path, laszip.payload + 34 + 4, "<H", 4)
     with pytest.raises(InputError, match="items of version 4"):
         read_header(path)
+
+
+@pytest.mark.parametrize(("suffix", "point_format"), [("las", 3), ("laz", 3), ("laz", 6)])
+def test_points_that_a_header_without_number_forgot_are_not_lost(
+    suffix: str, point_format: int, make_cloud: Any
+) -> None:
+    version = "1.4" if point_format > 5 else "1.2"
+    path = make_cloud(f"c.{suffix}", n=500, point_format=point_format, version=version)
+    patch(path, *((247, "<Q", 0) if version == "1.4" else (107, "<I", 0)))
+    with pytest.raises(InputError, match=r"says 0 points, has .* it was never finished; .*--salvage"):
+        read_header(path)
+    header = read_header(path, salvage=True)
+    assert "never finished" in header.notes[0]
+    assert header.laz is not None or header.point_count == 500
+    assert point_format != 6 or header.point_count == 500
+
+
+@pytest.mark.parametrize("name", ["none.las", "none.laz"])
+def test_a_cloud_without_points_is_whole(name: str, make_cloud: Any) -> None:
+    header = read_header(make_cloud(name, n=0, point_format=6, version="1.4", evlr=b"xyz" * 100))
+    assert (header.point_count, header.notes) == (0, ())
+
+
+@pytest.mark.parametrize("point_format", [3, 6])
+def test_chunks_behind_the_last_point_are_not_lost(point_format: int, make_cloud: Any) -> None:
+    path = make_cloud("c.laz", n=110_000, point_format=point_format, version="1.4")
+    with pytest.raises(InputError, match="chunk table has 3 chunks, 70000 points need 2"):
+        read_header(patch(path, 247, "<Q", 70_000))
+
+
+def test_records_behind_the_last_point_are_told(make_cloud: Any) -> None:
+    path = patch(make_cloud("c.las", n=100), 107, "<I", 90)
+    assert read_header(path).notes == ("says 90 points, has room for 100: the rest is not read",)

@@ -163,6 +163,15 @@ def test_layers_that_claim_gigabytes_are_refused_before_they_are_allocated(make_
         records_of(path)
 
 
+def test_points_of_a_chunk_are_held_against_the_header(make_cloud: Any) -> None:
+    path = make_cloud("n.laz", n=1000, point_format=6, version="1.4")
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<Q", data, 247, 900)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="chunk 0 has 1000 points, by the header 900"):
+        records_of(path)
+
+
 def test_damaged_points_are_an_input_error(make_cloud: Any) -> None:
     path = make_cloud("d.laz", n=5000)
     header = read_header(path)

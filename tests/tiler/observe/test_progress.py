@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from typing import Any
 
 import pytest
@@ -138,3 +139,10 @@ def test_combined_listeners_hear_everything_in_order() -> None:
 @pytest.mark.parametrize(("size", "text"), [(10, "10 bytes"), (1536, "1.5 KiB"), (3 << 30, "3.0 GiB")])
 def test_sizes(size: int, text: str) -> None:
     assert size_text(size) == text
+
+
+def test_a_file_that_fails_is_told_as_a_file(capsys: pytest.CaptureFixture[str]) -> None:
+    with open_progress(sys.stderr, quiet=True) as listener:
+        listener("task_failed", {"stage": "spool", "key": "s000000-0", "error": "a.laz: cut short"})
+        listener("warning", {"text": "a.laz: left out: cut short"})
+    assert capsys.readouterr().err == "warning: a.laz: left out: cut short\n"

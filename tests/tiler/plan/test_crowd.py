@@ -88,3 +88,11 @@ def test_no_points_no_crowd() -> None:
     assert Crowd([], 1.0).fullest(100) == 0
     outside = np.full((2, 5), 99.0)
     assert find_patches([outside], 7, [0, 0, 10, 10]) == (Patch(0, 0, 10, 10, 7),)
+
+
+def test_a_long_line_has_few_cells() -> None:
+    patch = Patch(
+        0.0, 0.0, 1e6, 1.0, 1000.0
+    )  # of kilometres: 16 million cells of 64 m along it, next to no area
+    crowd = Crowd([patch], 1000.0)
+    assert 900 < crowd.fullest(1e9) < 1001

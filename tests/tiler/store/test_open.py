@@ -16,7 +16,7 @@ import zarr
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.units import US_SURVEY_FOOT, Units
-from tiler.errors import ConfigError, StoreError
+from tiler.errors import ConfigError, ForeignStoreError, StoreError
 from tiler.store import StoreMeta, TileStore, create_store, open_store, remove_store
 
 FEET = StoreMeta(
@@ -146,3 +146,10 @@ def test_a_store_is_removed_whole(store_url: str, meta: StoreMeta) -> None:
     assert store.usage().objects == 0
     create_store(store_url, FEET).create_raster("dtm", 3, 3)
     assert np.all(open_store(store_url).meta == FEET)
+
+
+def test_a_file_is_no_place_for_a_store(tmp_path: Path, meta: StoreMeta) -> None:
+    (tmp_path / "store.zarr").write_text("notes")
+    with pytest.raises(ForeignStoreError, match="is a file") as caught:
+        create_store(str(tmp_path / "store.zarr"), meta)
+    assert caught.value.exit_code == 2, "another place has to be named: nothing was wrong with the work"
