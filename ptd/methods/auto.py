@@ -57,9 +57,9 @@ _slope                                            1.5 m,    lower on any hill: 0
 roof_share, _unseen   ours                        0.9, 0.6  terrain goes on somewhere; where most looks end in trees or
                                                             beyond the data nothing is known
 roof_area             ours                        80 m2     what is smaller was opened before
-label_floor           as `classic`                0.3 m     below 1 point/m2; from 2 on 0.05 m and three times the
-                                                            noise, from 0.12 m (image matching 0.2 m) to this:
-                                                            low plants
+label_floor           as `classic`                0.24 m    below 1 point/m2: rough ground between sparse points against
+                                                            low plants; from 2 on 0.05 m and three times the noise,
+                                                            from 0.12 m to this (image matching: 0.2 m to twice this)
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
                                                             points/m2 on
 ====================  ==========================  ========  ============================================================

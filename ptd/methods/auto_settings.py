@@ -30,6 +30,8 @@ DIM_GROUP, DIM_DEPTH = 6, 0.5
 """Blunders of image matching come in larger groups than a laser's low points, and nearer to the ground."""
 DIM_FLOOR_M = 0.2
 """Least floor of the last pass for image matching: errors of neighbours are alike, which patches do not see."""
+DIM_MOST = 2.0
+"""Floor of the last pass for image matching in parts of ``label_floor_m`` at most: its noise may be that large."""
 DIM_PIT_M = 0.5
 """Depth of pits that image matching leaves in the surface."""
 SPARSE_M2, DENSE_M2 = 1.0, 2.0
@@ -162,7 +164,7 @@ class AutoParameters:
     roof_area_m2: float = parameter(
         80.0, "roofs: the smallest; smaller ones are found by openings", unit="m2", minimum=0.0, maximum=1e6,
     )  # fmt: skip
-    label_floor_m: float = like(Progressive, "label_floor_m")
+    label_floor_m: float = like(Progressive, "label_floor_m", 0.24)
     label_slope_m: float = parameter(
         1.0, "last pass: so much more per slope of the facet", unit="m", minimum=0.0, maximum=10.0,
     )  # fmt: skip
@@ -282,8 +284,8 @@ def settings(params: AutoParameters, survey: Mapping[str, Any]) -> Settings:
     dense = min(max((survey["density_m2"] - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
     floor = params.label_floor_m
     if sigma is not None:
-        least = DIM_FLOOR_M if dim else DENSE_FLOOR_M
-        floor = min(max(least, FLOOR_BASE_M + FLOOR_SIGMAS * sigma), floor)
+        least, most = (DIM_FLOOR_M, DIM_MOST * floor) if dim else (DENSE_FLOOR_M, floor)
+        floor = min(max(least, FLOOR_BASE_M + FLOOR_SIGMAS * sigma), most)
     return Settings(
         low_depth_m=params.low_depth_m * (DIM_DEPTH if dim else 1.0),
         low_group=params.low_group * (DIM_GROUP if dim else 1),

@@ -120,20 +120,23 @@ def test_image_matching_is_told_by_colours_and_single_returns() -> None:
 
 
 @pytest.mark.parametrize(
-    ("density", "sigma", "floor", "slope"),
+    ("kind", "density", "sigma", "floor", "slope"),
     [
-        (0.7, 0.02, 0.3, 1.0),
-        (1.5, 0.02, 0.21, 0.75),
-        (2.0, 0.02, 0.12, 0.5),
-        (9.0, 0.05, 0.2, 0.5),
-        (9.0, 0.2, 0.3, 0.5),
-        (9.0, None, 0.3, 0.5),
+        ("lidar", 0.7, 0.02, 0.24, 1.0),
+        ("lidar", 1.5, 0.02, 0.18, 0.75),
+        ("lidar", 2.0, 0.02, 0.12, 0.5),
+        ("lidar", 9.0, 0.05, 0.2, 0.5),
+        ("lidar", 9.0, 0.2, 0.24, 0.5),
+        ("lidar", 9.0, None, 0.24, 0.5),
+        ("dim", 9.0, 0.02, 0.2, 0.5),
+        ("dim", 9.0, 0.1, 0.35, 0.5),
+        ("dim", 9.0, 0.2, 0.48, 0.5),
     ],
 )
 def test_the_last_pass_is_narrower_where_points_are_dense(
-    density: float, sigma: float | None, floor: float, slope: float
+    kind: str, density: float, sigma: float | None, floor: float, slope: float
 ) -> None:
-    chosen = settings(Auto(), {"kind": "lidar", "density_m2": density, "label_sigma_m": sigma})
+    chosen = settings(Auto(), {"kind": kind, "density_m2": density, "label_sigma_m": sigma})
     assert (chosen.label_floor_m, chosen.label_slope_m) == pytest.approx((floor, slope))
 
 
