@@ -67,3 +67,128 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
         raise InputError(f"{_names(sources)}: hold no point; nothing to make a terrain of")
     area = area_of(config, agreement.wkt, notes)
     metres = float(agreement.units.horizontal)
+    extent, covered = sizes.extent_of(filled, metres)
+    frame = CoordFrame(agreement.units, sizes.origin_of(extent), agreement.wkt)
+    points = sum(s.points for s in filled)
+    density, crowd = points / covered, Crowd((patch for s in filled for patch in s.patches), metres)
+    memory = config.memory or min(1 << 30, psutil.virtual_memory().total // (4 * (psutil.cpu_count() or 1)))
+    meta = StoreMeta(
+        frame=frame, bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, crowd, memory)))),
+        fine=Lattice(frame.counts(FINE_CELL_M)), has_rgb=any(s.has_rgb for s in filled),
+    )  # fmt: skip
+    if defaults and "rgb" in METHODS[config.method].needs and not meta.has_rgb:
+        raise ConfigError(
+            f"--method {config.method}: needs colours (RGB), no input has any; use another method"
+        )
+    cell = defaults.candidate_cell_m if defaults else 0.0
+    passes = _planned_passes(defaults, config, notes) if defaults else ()
+    tile = config.tile_size or sizes.tile_m(memory, density, cell, passes, meta)
+    warnings = warnings_of(filled, agreement.units, tile, [step.halo_m for step in passes])
+    warnings += advice.before(filled, config, density, _own_halo(defaults))
+    plan = Plan(
+        config, tuple(sources), tuple(unreadable), meta, area, parameters,
+        sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
+        config.workers or psutil.cpu_count() or 1, cell, points, covered, extent, crowd, None,
+        output_names(inputs, sources), tuple(notes), tuple(warnings),
+        None if config.statistics is None else earlier_statistics(Path(config.statistics), config.method, parameters),
+    )  # fmt: skip
+    plan = part_of(plan)
+    refuse(plan, out)
+    return plan
+
+
+def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[Path, Path]:
+    """Path of each classified file below OUT/classified; ConfigError where two would be one."""
+    # A URL names what is below it, or one object: then nothing is left of the name below it.
+    folders = [cloud_path(i) for i in inputs if is_url(i) or Path(i).is_dir()]
+    names: dict[Path, Path] = {}
+    taken: dict[str, Path] = {}
+    for source in sources:
+        same = [f for f in folders if type(f) is type(source.path) and f != source.path]
+        below = [Path(str(source.path.relative_to(f))) for f in same if source.path.is_relative_to(f)]
+        name = below[0] if below else Path(source.path.name)
+        stem = name.name[: -len(name.suffix)]
+        stem = stem.removesuffix(".copc") if source.copc else stem
+        name = name.with_name(f"{stem}.laz")
+        if str(name).lower() in taken:
+            raise ConfigError(
+                f"{source.path} and {taken[str(name).lower()]} would both become classified/{name}; "
+                "rename one, or run on a folder that holds both in different places"
+            )
+        taken[str(name).lower()] = source.path
+        names[source.path] = name
+    return names
+
+
+def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
+    """Parameters as plain values, and their dataclass; ({}, None) for `keep`."""
+    if config.method == KEEP:
+        if config.parameters:
+            raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters")
+        return {}, None
+    if config.method not in METHODS:
+        raise ConfigError(f"--method {config.method}: there is {', '.join([*METHODS, KEEP])}")
+    try:
+        params = make_params(config.method, dict(config.parameters))
+    except ValueError as error:
+        raise ConfigError(f"--set {error} (method {config.method})") from error
+    return to_json(params), params
+
+
+def _names(sources: Sequence[SourceInfo]) -> str:
+    return f"{sources[0].path}" + (f" and {len(sources) - 1} more files" if len(sources) > 1 else "")
+
+
+def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
+    sources: list[SourceInfo] = []
+    unreadable: list[tuple[str, str]] = []
+    with Guards(_readers(paths, config)) as guards:
+        looks: Iterable[Callable[[], SourceInfo]] = (
+            (partial(inspect, path, config.salvage) for path in paths)
+            if config.in_process
+            else guards.each(partial(inspect_guarded, salvage=config.salvage), paths)
+        )
+        for path, look in zip(paths, looks, strict=True):
+            try:
+                sources.append(look())
+            except InputError as error:
+                if config.on_error == "stop" or len(paths) == 1:
+                    raise
+                unreadable.append((str(path), str(error)))
+    if not sources:
+        raise InputError(f"none of {len(paths)} inputs can be read; the first: {unreadable[0][1]}")
+    return sources, unreadable
+
+
+def _readers(paths: Sequence[Path], config: RunConfig) -> int:
+    """How many processes look into the inputs: one more pays for its start where there are some files for it."""
+    far = sum(is_url(path) for path in paths)
+    workers = config.workers or psutil.cpu_count() or 1
+    near = min(workers, math.ceil((len(paths) - far) / FILES_OF_A_READER))
+    return max(near, min(FAR_READERS, math.ceil(far / FILES_OF_A_READER)), 1)
+
+
+def _own_halo(params: Any) -> float | None:
+    """The halo that a method asks for, whatever ``--halo`` says; None if it has none or all its reaches are proven."""
+    steps = [] if params is None else [step for step in params.passes if step.reach_m is None]
+    return max((float(params.halo_m if s.halo_m is None else s.halo_m) for s in steps), default=None)
+
+
+def _planned_passes(params: Any, config: RunConfig, notes: list[str]) -> tuple[PlannedPass, ...]:
+    """The passes of a method with the halo that each starts with."""
+
+    def halo(step: Pass) -> float:
+        if step.reach_m is not None:
+            return step.reach_m
+        if config.halo is not None:
+            return float(config.halo)
+        return float(params.halo_m if step.halo_m is None else step.halo_m)
+
+    fixed = [step for step in params.passes if step.reach_m is not None]
+    if config.halo is not None and fixed:
+        notes.append(
+            "--halo is for passes whose reach is not known beforehand; "
+            + ", ".join(f"{step.name} sees {step.reach_m:g} m" for step in fixed)
+            + ", as far as they reach"
+        )
+    return tuple(PlannedPass(s.name, halo(s), s.reach_m is not None, s.every_point) for s in params.passes)
