@@ -99,7 +99,9 @@ def events_done(out: Path) -> set[tuple[str, str]]:
     lines = (out / "events.jsonl").read_text().splitlines()
     events = [json.loads(line) for line in lines if line.endswith("}")]
     # Digests of inputs are kept with the sources, not as a stage: they may be taken again.
-    done = Counter((e["stage"], e["key"]) for e in events if e["event"] == "task_done" and e["stage"] in STAGES)
+    done = Counter(
+        (e["stage"], e["key"]) for e in events if e["event"] == "task_done" and e["stage"] in STAGES
+    )
     assert max(done.values()) == 1, "a finished task was computed twice"
     return set(done)
 
