@@ -41,8 +41,11 @@ class RunConfig:
     ground_classes: tuple[int, ...] = setting(
         (2,), "classes that `--method keep` grids as ground", kind="classes"
     )
-    products: tuple[str, ...] = setting(("dtm",), "rasters to write, each as OUT/<name>.tif: " + ", ".join(PRODUCTS),
-                                        kind="names", choices=tuple(PRODUCTS))  # fmt: skip
+    products: tuple[str, ...] = setting(
+        ("dtm",), "rasters to write, each as OUT/<name>.tif: dtm, dsm (surface), ndsm (surface above the terrain), "
+        "hillshade, slope (degrees), density (ground points per m2), distance (to the nearest ground point, m), mask "
+        "(where heights come from)", kind="names", choices=tuple(PRODUCTS),
+    )  # fmt: skip
     sheets: Fraction | None = setting(None, "side of the sheets into which each product is cut: files "
                                       "OUT/<name>/<name>_<x>_<y>.tif below OUT/<name>.vrt; default: one file", unit="m",
                                       kind="length")  # fmt: skip
@@ -52,8 +55,10 @@ class RunConfig:
                                          unit="m", kind="length")  # fmt: skip
     halo: Fraction | None = setting(None, "points around a tile that the filter sees; default from the method",
                                     unit="m", kind="length")  # fmt: skip
-    max_edge: Fraction = setting(Fraction(100), "a pixel is nodata where its facet's longest edge or circumradius "
-                                 "is longer", unit="m", kind="length")  # fmt: skip
+    max_edge: Fraction = setting(
+        Fraction(100), "a pixel has no height where the triangle of ground points around it has a longer edge, or the "
+        "circle through its corners a larger radius", unit="m", kind="length",
+    )  # fmt: skip
     interpolation: str = setting("linear", "heights between ground points: linear on the TIN, natural neighbours, or "
                                  "idw (12 nearest, 1 / squared distance); all fill the same pixels", kind="choice",
                                  choices=("linear", "natural", "idw"))  # fmt: skip
