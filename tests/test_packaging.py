@@ -16,6 +16,7 @@ from tiler import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+CLOUD = {r.name: r for r in map(Requirement, PROJECT["optional-dependencies"]["cloud"])}
 REQUIREMENTS = {r.name: r for r in map(Requirement, PROJECT["dependencies"])}
 
 
@@ -30,11 +31,12 @@ def pins(path: str) -> dict[str, Version]:
     return found
 
 
-@pytest.mark.parametrize("name", REQUIREMENTS)
-def test_the_lower_bound_is_the_version_that_ci_tests(name: str) -> None:
-    (bound,) = REQUIREMENTS[name].specifier
+@pytest.mark.parametrize("requirement", [*REQUIREMENTS.values(), *CLOUD.values()], ids=lambda r: r.name)
+def test_the_lower_bound_is_the_version_that_ci_tests(requirement: Requirement) -> None:
+    (bound,) = requirement.specifier
+    name = requirement.name
     assert bound.operator == ">="
-    assert pins(".ci/lowest.txt")[name] in REQUIREMENTS[name].specifier
+    assert pins(".ci/lowest.txt")[name] in requirement.specifier
     assert str(pins(".ci/lowest.txt")[name]).startswith(bound.version)
 
 

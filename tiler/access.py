@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import platform
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import CancelledError
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from tiler import __version__
-from tiler.errors import ConfigError, TilerError
+from tiler.errors import ConfigError, TilerError, refused_write
 from tiler.places import cloud_path, is_url, joined, stat_cloud, try_write
+from tiler.schedule import Machine
 from tiler.store import open_store
 
 LIBRARIES = ("numpy", "scipy", "numba", "zarr", "laspy", "lazrs", "rasterio", "pyproj", "distributed")
@@ -37,9 +38,12 @@ class Access:
         Its address, for messages.
     sources : sequence of (str, int)
         Path or URL of each input, and its bytes.
-    store_url : str
-    products : str
-        Folder or URL of the files that the run writes.
+    store_url : str or None
+        None: not yet known.
+    products : str or None
+        Folder or URL of the files that the run writes; None: not yet known.
+    store_there : bool
+        There is a store; else the place for one is looked at.
 
     Attributes
     ----------
@@ -48,9 +52,15 @@ class Access:
     """
 
     def __init__(
-        self, scheduler: str, sources: Sequence[tuple[str, int]], store_url: str, products: str
+        self,
+        scheduler: str,
+        sources: Sequence[tuple[str, int]],
+        store_url: str | None,
+        products: str | None,
+        store_there: bool = True,
     ) -> None:
         self._scheduler, self._store_url = scheduler, store_url
+        self._store_there = store_there
         step = max(len(sources) // LOOKED_AT, 1)
         self._sources = [*sources[::step], *sources[-1:]]
         self._products = products
@@ -65,20 +75,46 @@ class Access:
             self._refuse(worker, f"has {'; '.join(others)}; install the same versions")
         for place, reason in self._asked(ask, worker, unreadable, self._sources):
             self._refuse(worker, f"cannot read {place} ({reason}); {_remedy(place, 'inputs')}")
-        for reason in self._asked(ask, worker, unusable, self._store_url):
-            self._refuse(
-                worker, f"cannot use {self._store_url} ({reason}); {_remedy(self._store_url, '--store')}"
-            )
-        if is_url(self._products):
+        if self._store_url is not None:
+            for reason in self._store_trouble(ask, worker, self._store_url):
+                self._refuse(
+                    worker, f"cannot use {self._store_url} ({reason}); {_remedy(self._store_url, '--store')}"
+                )
+        if self._products is not None and is_url(self._products):
             for reason in self._asked(ask, worker, unwritable, self._products):
                 self._refuse(
                     worker, f"cannot write into {self._products} ({reason}); {_remedy(self._products, '-o')}"
                 )
-            return
-        token = Path(self._products) / f".tiler-{uuid.uuid4().hex}.partial"
+        elif self._products is not None:
+            self.out_seen &= self._seen(ask, worker, self._products)
+
+    def refuse_small(self, machines: Iterable[Machine], need_bytes: int) -> None:
+        """Raise ConfigError for a machine whose memory is too small for so many tasks at a time."""
+        for machine in machines:
+            if machine.threads * need_bytes > machine.memory_bytes:
+                raise ConfigError(
+                    f"--scheduler {self._scheduler}: machine {machine.name} has {machine.memory_bytes >> 20:,} MiB "
+                    f"for {machine.threads} tasks at a time of up to {need_bytes >> 20:,} MiB; "
+                    "start fewer workers there, or use less --memory"
+                )
+
+    def _store_trouble(self, ask: Callable[..., Any], worker: str, url: str) -> list[str]:
+        """Why a worker cannot use the store, or the place where it will be."""
+        if self._store_there:
+            return list(self._asked(ask, worker, unusable, url))
+        if is_url(url):
+            return list(self._asked(ask, worker, unwritable, url))
+        return [] if self._seen(ask, worker, url) else ["it does not see that folder, or cannot write there"]
+
+    def _seen(self, ask: Callable[..., Any], worker: str, folder: str) -> bool:
+        """Whether a worker can write into a folder of the client, or where that will be made."""
+        place = Path(folder).absolute()
+        token = next(p for p in (place, *place.parents) if p.is_dir()) / f".tiler-{uuid.uuid4().hex}.partial"
         try:
             token.touch()
-            self.out_seen &= bool(self._asked(ask, worker, sees, str(token)))
+            return bool(self._asked(ask, worker, sees, str(token)))
+        except OSError as error:
+            raise refused_write(str(token.parent), error) from error
         finally:
             token.unlink(missing_ok=True)
 

@@ -8,13 +8,13 @@ until the export has dealt with them the files of earlier runs (``earlier_output
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
 from tiler.errors import refused_write
 from tiler.job import Job
+from tiler.places import is_url, joined, move_file, sizes_at
 
 ASIDE = "outdated"
 """Folder in OUT."""
@@ -41,16 +41,13 @@ def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
         A file cannot be moved.
     """
     earlier = job.facts["earlier_outputs"]
-    there = {
-        p: of
-        for p, of in earlier.items()
-        if p not in wanted and _inside(job.out, p) and (job.out / p).is_file()
-    }
-    stale = sorted(path for path, of in there.items() if of != basis)
+    there = {p: of for p, of in earlier.items() if p not in wanted and _inside(job.products, p)}
+    sizes = dict(zip(there, sizes_at([joined(job.products, p) for p in there]), strict=True))
+    stale = sorted(path for path, of in there.items() if of != basis and sizes[path] is not None)
     for path in stale:
-        _move(job.out, path)
-    kept = [path for path in there if path not in stale]
-    job.facts["outputs"] = {path: (job.out / path).stat().st_size for path in kept}
+        _move(job.products, path)
+    kept = {path: size for path, size in sizes.items() if size is not None and path not in stale}
+    job.facts["outputs"] = kept
     job.facts["made_of"] = dict.fromkeys(kept, basis)
     job.facts["earlier_outputs"] = dict.fromkeys(wanted)
     if stale:
@@ -62,17 +59,20 @@ def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
     job.save("running")
 
 
-def _inside(out: Path, path: str) -> bool:
-    """Whether a path that a file named leads nowhere else."""
-    return (out / path).resolve().is_relative_to(out.resolve())
+def _inside(out: str, path: str) -> bool:
+    """Whether a path that a file named leads nowhere else, and to a file."""
+    if is_url(out):
+        return not {"", ".", ".."} & set(path.split("/"))
+    whole = Path(out, path)
+    return whole.resolve().is_relative_to(Path(out).resolve()) and not whole.is_dir()
 
 
-def _move(out: Path, path: str) -> None:
-    source, target = out / path, out / ASIDE / path
+def _move(out: str, path: str) -> None:
+    source, target = joined(out, path), joined(out, ASIDE, path)
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        os.replace(source, target)
+        move_file(source, target)
     except OSError as error:
-        raise refused_write(str(target), error, out) from error
-    with suppress(OSError):  # the folder of a product's sheets, unless it still holds any
-        source.parent.rmdir()
+        raise refused_write(target, error, None if is_url(out) else Path(out)) from error
+    if not is_url(out):
+        with suppress(OSError):  # the folder of a product's sheets, unless it still holds any
+            Path(source).parent.rmdir()

@@ -107,10 +107,11 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     for text in plan.warnings:
         listener("warning", {"text": text})
     if is_url(job.products):
+        job.facts["products_at"] = job.products
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
         )
-    job.facts["earlier_outputs"] = earlier_outputs(job.out)
+    job.facts["earlier_outputs"] = earlier_outputs(job.out, job.products)
     try:
         _healing_stages(job, until)
     except BaseException:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from glob import has_magic
 from pathlib import Path
@@ -16,6 +17,8 @@ from tiler.errors import ConfigError, refused_write
 
 BLOCK_BYTES = 1 << 22
 """Of an object, asked for at once: the bytes of some chunks of points."""
+ASKED_AT_ONCE = 16
+"""Objects of which the size is wanted."""
 KEPT_BLOCKS = 8
 """Of an object that is read: where its header, its table and its points are."""
 
@@ -154,8 +157,38 @@ def size_at(place: str) -> int | None:
     """Bytes of a file at a path or URL; None where there is none."""
     try:
         return stat_cloud(cloud_path(place)).st_size
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+def sizes_at(places: Sequence[str]) -> list[int | None]:
+    """`size_at` of many files: of objects several are asked for at a time, as each takes its time to answer."""
+    if not any(is_url(place) for place in places):
+        return [size_at(place) for place in places]
+    with ThreadPoolExecutor(ASKED_AT_ONCE) as threads:
+        return list(threads.map(size_at, places))
+
+
+def read_bytes(place: str) -> bytes | None:
+    """The content of a small file at a path or URL; None where there is none. Raises OSError."""
+    try:
+        with storage_errors():
+            return cloud_path(place).read_bytes()
     except FileNotFoundError:
         return None
+
+
+def move_file(place: str, target: str) -> None:
+    """Give a file at a path or URL another name; at a URL it is there twice for a moment. Raises OSError."""
+    if not is_url(place):
+        Path(target).parent.mkdir(parents=True, exist_ok=True)
+        os.replace(place, target)
+        return
+    from fsspec.core import url_to_fs
+
+    with storage_errors():
+        system, path = url_to_fs(place)
+        system.mv(path, url_to_fs(target)[1])
 
 
 def put_file(path: Path, url: str) -> None:

@@ -20,7 +20,7 @@ from tiler.errors import ProcessingError
 from tiler.file_tasks import cog_tasks, mosaic_tasks
 from tiler.grid import DEEP_M
 from tiler.job import Job
-from tiler.places import is_url, joined, size_at
+from tiler.places import is_url, joined, sizes_at
 from tiler.plan import GRID_BLOCK, KEEP
 from tiler.product_tasks import WHOLE, Gridding, raster_tasks, wanted
 from tiler.schedule import Task, digest_of
@@ -174,7 +174,8 @@ def _write(job: Job, stage: str, tasks: list[Task], out: str) -> bool:
     """Write files that are not there; whether all rasters among them are."""
     files = _files(tasks)
     known = {k: r["bytes"] for k, (_, r) in job.store.committed(stage).items() if k in files}
-    gone = [k for k, size in known.items() if size_at(files[k]) != size]
+    there = sizes_at([files[k] for k in known])
+    gone = [k for k, size in zip(known, there, strict=True) if known[k] != size]
     job.take_back(stage, gone)
     written = job.perform(stage, tasks, writes_out=True)
     job.facts["outputs"] |= {_below(out, files[k]): record["bytes"] for k, (_, record) in written.items()}

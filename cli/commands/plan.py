@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -13,20 +14,37 @@ from cli.session import TilerCommand
 
 @click.command("plan", cls=TilerCommand)
 @inputs_argument
+@click.option(
+    "-o",
+    "--out",
+    metavar="OUT",
+    help="as of `tiler run`: its disk, and whether workers reach it [default: none]",
+)
 @config_options()
 @json_option
-def command(inputs: tuple[str, ...], as_json: bool, **settings: Any) -> None:
+def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings: Any) -> None:
     """Dry run: what a run would do, and what it needs.
 
     Points, tiles, memory, disk and time of `tiler run` with the same INPUT and options. Reads the headers of the
     files and a few thousand points of each, writes nothing; what a run would refuse is refused here with the same line.
+    With --scheduler its workers are looked at as well: versions, memory, whether they read INPUT, and with -o and
+    --store whether they can write there (a file without bytes, removed at once).
     """
     config = read_config(settings)
+    from tiler.places import is_url, joined
     from tiler.plan import make_plan, plan_json, plan_lines
 
-    plan = make_plan(inputs, config)
+    plan = make_plan(inputs, config) if out is None or is_url(out) else make_plan(inputs, config, Path(out))
+    cluster = None
+    if config.scheduler is not None:
+        from tiler.crew import look_at_cluster
+
+        store = config.store or (None if out is None else joined(out, "store.zarr"))
+        plan, cluster = look_at_cluster(plan, store, out)
     if as_json:
-        print_json(plan_json(plan))
-    else:
-        for line in plan_lines(plan):
-            click.echo(line)
+        print_json(plan_json(plan) | ({} if cluster is None else {"cluster": cluster.to_json()}))
+        return
+    for line in plan_lines(plan):
+        click.echo(line)
+    for line in [] if cluster is None else cluster.lines(max(plan.projected_memory().values())):
+        click.echo(line)

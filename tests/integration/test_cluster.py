@@ -15,6 +15,7 @@ from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command,
 from tests.integration.test_interrupt import wait_for
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
+from tiler import __version__
 
 pytestmark = pytest.mark.slow
 
@@ -98,7 +99,7 @@ def test_everything_by_url(
     cluster.wait_for(2)
     monkeypatch.chdir(tmp_path)
     arguments = (f"s3://{BUCKET}/clouds/*.laz", "-o", f"s3://{BUCKET}/town", "--scheduler", cluster.address)
-    ended(start(*arguments))
+    ended(start(*arguments, "--products", "dtm,slope"))
     assert sorted(p.name for p in (tmp_path / "town").iterdir()) == [
         "events.jsonl",
         "report.html",
@@ -108,6 +109,7 @@ def test_everything_by_url(
     bucket.get(f"{BUCKET}/town/classified/", str(tmp_path / "copy/classified/"), recursive=True)
     assert output_digests(tmp_path / "copy") == output_digests(local)
     assert json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["state"] == "done"
+    assert (tmp_path / "town/report.html").read_text().count("data:image/png;base64,") == 2
     bucket.rm_file(f"{BUCKET}/town/dtm.tif")
     again = json.loads(tiler("run", *arguments, *OPTIONS, "--json").stdout)["stages"]
     assert {name: stage["computed"] for name, stage in again.items() if stage["computed"]} == {"export": 1}
@@ -115,6 +117,18 @@ def test_everything_by_url(
     sheets = json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["outputs"]
     assert sum(name.startswith("dtm/dtm_") for name in sheets) == 4  # CRS 0 is a corner
     assert all(bucket.info(f"{BUCKET}/town/{name}")["size"] == size for name, size in sheets.items())
+    assert sorted(bucket.ls(f"{BUCKET}/town/outdated")) == [
+        f"{BUCKET}/town/outdated/{name}" for name in ("dtm.tif", "slope.tif")
+    ]
+    assert not bucket.exists(f"{BUCKET}/town/slope.tif")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")  # what runs from here wrote stands in the run.json of the URL
+    ended(start(*arguments))
+    assert len(bucket.ls(f"{BUCKET}/town/outdated/dtm")) == 4
+    assert json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["outputs"].keys() == {
+        "dtm.tif",
+        "classified/city.laz",
+    }
 
 
 def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_path: Path) -> None:
@@ -152,6 +166,46 @@ def test_workers_that_see_no_folder_of_the_client(
     result = do([f"s3://{BUCKET}/clouds"], out, **changes)  # type: ignore[list-item]
     assert any("do not see" in note for note in result.summary["notes"])
     assert output_digests(out) == output_digests(local)
+
+
+def test_the_plan_looks_at_the_workers(bucket: Any, cluster: Cluster, cloud: Path, tmp_path: Path) -> None:
+    """How many there are and what they have, also before there is a store; nothing is left behind."""
+    cluster.worker()
+    cluster.worker()
+    cluster.wait_for(2)
+    inputs, store = f"s3://{BUCKET}/clouds", f"s3://{BUCKET}/planned"
+    options = ("--scheduler", cluster.address, *OPTIONS)
+    done = tiler("plan", inputs, "-o", tmp_path / "out", "--store", store, *options, "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    (machine,) = found["cluster"]["machines"]
+    assert (machine["workers"], machine["threads"], found["workers"]) == (2, 2, 2)
+    assert machine["memory_bytes"] > 1 << 30
+    assert found["cluster"]["out_seen"]
+    assert not bucket.exists(f"{BUCKET}/planned")
+    assert not (tmp_path / "out").exists()
+    lines = tiler("plan", inputs, *options).stdout
+    assert "2 workers for 2 tasks at a time on 1 machines" in lines
+    done = tiler("plan", inputs, "--store", "s3://nowhere/store", *options)
+    assert done.returncode == 2
+    assert_one_line(done.stderr, "cannot use s3://nowhere/store", "credentials that the workers have")
+
+
+def test_a_worker_with_another_version(cluster: Cluster, cloud: Path, tmp_path: Path) -> None:
+    """A worker process whose tiler says that it is another one: one line, in the plan and before the first task."""
+    (tmp_path / "older").mkdir()
+    (tmp_path / "older/sitecustomize.py").write_text("import tiler\n\ntiler.__version__ = '0.0.9'\n")
+    root = environment()["PYTHONPATH"]
+    cluster.worker(PYTHONPATH=f"{tmp_path / 'older'}:{root}")
+    cluster.wait_for(1)
+    for arguments in (("plan", cloud), ("run", cloud, "-o", tmp_path / "out", "-q")):
+        done = tiler(*arguments, "--scheduler", cluster.address, *OPTIONS)
+        assert done.returncode == 2
+        assert_one_line(
+            done.stderr.splitlines()[-1], f"--scheduler {cluster.address}: worker tcp://127.0.0.1:",
+            f"has tiler 0.0.9, here {__version__}; install the same versions",
+        )  # fmt: skip
+    assert json.loads((tmp_path / "out/run.json").read_text())["state"] == "interrupted"
 
 
 def test_workers_without_credentials(bucket: Any, cluster: Cluster, tmp_path: Path) -> None:

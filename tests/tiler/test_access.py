@@ -14,6 +14,7 @@ from tiler.access import Access
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError
+from tiler.schedule import Machine
 from tiler.store import StoreMeta, create_store
 
 
@@ -29,8 +30,8 @@ def asked(tmp_path: Path) -> Callable[..., Access]:
     meta = StoreMeta(CoordFrame(origin=(0, 0)), Lattice(Fraction(10_000)), Lattice(Fraction(1000)), False)
     create_store(str(store), meta)
 
-    def make(path: Path = cloud, size: int = 100, url: str = str(store)) -> Access:
-        return Access("tcp://s:1", [(str(path), size)], url, str(tmp_path))
+    def make(path: Path = cloud, size: int = 100, url: str = str(store), there: bool = True) -> Access:
+        return Access("tcp://s:1", [(str(path), size)], url, str(tmp_path), there)
 
     return make
 
@@ -91,3 +92,30 @@ def test_a_worker_without_tiler(asked: Callable[..., Access]) -> None:
 def test_a_worker_that_cannot_reach(asked: Callable[..., Access], changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         asked(**changes)(here, "tcp://w:2")
+
+
+def test_a_place_where_a_store_will_be(
+    asked: Callable[..., Access], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    coming = asked(url=str(tmp_path / "later/store.zarr"), there=False)
+    coming(here, "tcp://w:2")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["cloud.laz", "store.zarr"]
+    monkeypatch.setattr(access, "sees", lambda token: False)
+    with pytest.raises(ConfigError, match=r"cannot use .*later/store.zarr \(it does not see.*--store by URL"):
+        coming(here, "tcp://w:2")
+
+
+def test_what_is_not_known_yet_is_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("sees", "unusable", "unwritable"):
+        monkeypatch.setattr(access, name, lambda *_: pytest.fail("asked"))
+    Access("tcp://s:1", [], None, None)(here, "tcp://w:2")
+
+
+def test_machines_that_are_too_small() -> None:
+    look = Access("tcp://s:1", [], None, None)
+    look.refuse_small([Machine("a", 4 << 30, 2, 4), Machine("b", 1 << 30, 1, 1)], 1 << 30)
+    with pytest.raises(
+        ConfigError,
+        match=r"tcp://s:1: machine b has 4,096 MiB for 5 tasks at a time of up to 1,024 MiB; start fewer",
+    ):
+        look.refuse_small([Machine("a", 4 << 30, 2, 4), Machine("b", 4 << 30, 1, 5)], 1 << 30)

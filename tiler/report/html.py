@@ -13,6 +13,7 @@ from rasterio.errors import RasterioError
 
 from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, refused_write
+from tiler.places import joined, size_at
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import Node, el, section
 from tiler.report.mapdata import map_data, with_earlier_times
@@ -50,7 +51,7 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None) -> Path:
         raise InputError(
             f"{out / 'run.json'}: not what this version of tiler writes ({type(error).__name__}: {error}); run again"
         ) from error
-    except RasterioError as error:
+    except (RasterioError, OSError) as error:
         raise ProcessingError(
             f"{out}: a raster cannot be read ({' '.join(str(error).split())}); run again"
         ) from error
@@ -102,15 +103,16 @@ def _page(out: Path, run: Mapping[str, Any]) -> bytes:
     return document.page(title, sections.header(run, title), parts, map_data(run, pictures, check))
 
 
-def _rasters(out: Path, run: Mapping[str, Any]) -> dict[str, Path]:
-    """Product -> file that this run wrote: one raster, or the VRT over its sheets."""
-    written = run.get("outputs", {})
-    return {
-        product: out / f"{product}.{kind}"
+def _rasters(out: Path, run: Mapping[str, Any]) -> dict[str, str]:
+    """Product -> path or URL of what this run wrote: one raster, or the VRT over its sheets."""
+    written, place = run.get("outputs", {}), run.get("products_at") or str(out)
+    named = {
+        product: joined(place, f"{product}.{kind}")
         for product in PRODUCTS
         for kind in ("vrt", "tif")
-        if f"{product}.{kind}" in written and (out / f"{product}.{kind}").is_file()
+        if f"{product}.{kind}" in written
     }
+    return {product: raster for product, raster in named.items() if size_at(raster) is not None}
 
 
 def _colophon(run: Mapping[str, Any]) -> Node:

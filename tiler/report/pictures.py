@@ -10,17 +10,18 @@ import base64
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import rasterio
+from fsspec.core import url_to_fs
 from rasterio.enums import Resampling
 
 from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
 from tiler.export.picture import palette_png_bytes
 from tiler.grid.shape import multidirectional_hillshade
+from tiler.places import is_url
 
 LONGER_SIDE = 1600
 """Pixels of a picture at most."""
@@ -103,13 +104,13 @@ class _Indexed:
     legend: tuple[tuple[Colour, str], ...]
 
 
-def draw(rasters: Mapping[str, Path], run: Mapping[str, Any]) -> Pictures | None:
+def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
     """Pictures of the rasters that are there; None without a DTM.
 
     Parameters
     ----------
-    rasters : mapping of str to Path
-        Product -> file, a GeoTIFF or a VRT.
+    rasters : mapping of str to str
+        Product -> path or URL of a GeoTIFF or a VRT.
     run : mapping
         The content of run.json: its units make the slopes.
 
@@ -129,7 +130,7 @@ def draw(rasters: Mapping[str, Path], run: Mapping[str, Any]) -> Pictures | None
         longer = min(int(longer * math.sqrt(MOST_BYTES / taken)), longer - 1)
 
 
-def _draw(rasters: Mapping[str, Path], run: Mapping[str, Any], longer: int) -> Pictures:
+def _draw(rasters: Mapping[str, str], run: Mapping[str, Any], longer: int) -> Pictures:
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
         extent = _extent(rasters["dtm"])
         drawn = tuple(_picture(name, made) for name, made in _each(rasters, extent, run, longer))
@@ -137,7 +138,7 @@ def _draw(rasters: Mapping[str, Path], run: Mapping[str, Any], longer: int) -> P
 
 
 def _each(
-    rasters: Mapping[str, Path], extent: Extent, run: Mapping[str, Any], longer: int
+    rasters: Mapping[str, str], extent: Extent, run: Mapping[str, Any], longer: int
 ) -> Iterator[tuple[str, _Indexed]]:
     """One picture after another, so that no more than one is in memory."""
     heights = _read(rasters["dtm"], longer, Resampling.average)
@@ -156,15 +157,20 @@ def _picture(name: str, indexed: _Indexed) -> Picture:
     return Picture(name, indexed.title, f"data:image/png;base64,{data}", (width, height), indexed.legend)
 
 
-def _extent(path: Path) -> Extent:
-    with rasterio.open(path) as raster:
+def _open(place: str) -> Any:
+    """Open a raster; one at a URL is read in parts, as its overviews need few."""
+    return rasterio.open(place, opener=url_to_fs(place)[0]) if is_url(place) else rasterio.open(place)
+
+
+def _extent(place: str) -> Extent:
+    with _open(place) as raster:
         bounds = raster.bounds
     return bounds.left, bounds.bottom, bounds.right, bounds.top
 
 
-def _read(path: Path, longer: int, resampling: Resampling) -> Floats:
+def _read(place: str, longer: int, resampling: Resampling) -> Floats:
     """Pixels, NaN where there is no data; from the overviews of a large raster, block by block."""
-    with rasterio.open(path) as raster:
+    with _open(place) as raster:
         shrink = max(max(raster.shape) / longer, 1.0)
         shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
         values: Floats = raster.read(1, out_shape=shape, resampling=resampling).astype(np.float32, copy=False)

@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError, refused_write
+from tiler.places import joined, read_bytes
+
+RUN = "run.json"
 
 
 def write_run_file(out: Path, content: dict[str, Any]) -> None:
@@ -53,13 +56,20 @@ def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> di
     return dict(statistics)
 
 
-def earlier_outputs(out: Path) -> dict[str, str | None]:
-    """Files that earlier runs wrote in ``out``, by their path in it, and what each was made of (see `tiler.earlier`).
+def earlier_outputs(out: Path, products: str) -> dict[str, str | None]:
+    """Files that earlier runs wrote in OUT, by their path in it, and what each was made of (see `tiler.earlier`).
 
     Empty where there was no run, or its run.json cannot be read.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of this machine with the run.json of runs from here, which is the newest.
+    products : str
+        Path or URL of OUT: of a run from elsewhere run.json lies there.
     """
     try:
-        found = json.loads((out / "run.json").read_text(encoding="utf-8"))
+        found = json.loads(read_bytes(str(out / RUN)) or read_bytes(joined(products, RUN)) or b"{}")
         made_of = found.get("made_of", {})
         return {
             **found.get("earlier_outputs", {}),

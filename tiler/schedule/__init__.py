@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from tiler.schedule.guard import Died, Guard
 from tiler.schedule.serial import SerialExecutor
-from tiler.schedule.task import TRIES, Executor, Limits, Look, Outcome, Perform, Task, Work, digest_of
+from tiler.schedule.task import (
+    TRIES,
+    Executor,
+    Limits,
+    Look,
+    Machine,
+    Outcome,
+    Perform,
+    Task,
+    Work,
+    digest_of,
+)
 from tiler.schedule.together import Guards
 
 __all__ = [
@@ -15,6 +26,7 @@ __all__ = [
     "Guards",
     "Limits",
     "Look",
+    "Machine",
     "Outcome",
     "Perform",
     "SerialExecutor",

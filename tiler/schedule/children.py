@@ -7,12 +7,14 @@ and how; the Dask worker lives on, with the other tasks that it holds.
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import distributed
+from distributed.system import MEMORY_LIMIT
 
 from tiler.schedule.guard import Died, Guard
 from tiler.schedule.task import Limits, Outcome, Perform, Task
@@ -62,9 +64,12 @@ class Children:
         return outcome
 
     def call(self, run: Run, function: Callable[..., Any], *arguments: Any) -> Any:
-        """``function(*arguments)`` in a child for this alone; raises what it raises, or `Died`."""
-        with Guard(run.limits.memory_bytes) as guard:
+        """``function(*arguments)`` in a child, whatever the others do; raises what it raises, or `Died`."""
+        guard = self._take(run)
+        try:
             return guard.call(function, *arguments, seconds=run.limits.seconds)
+        finally:
+            self._give_back(guard)
 
     def end(self, token: str) -> None:
         """End the children that work for one executor, and start none for it any more; forget the idle ones."""
@@ -112,6 +117,11 @@ async def call_in_child(
 ) -> Any:
     """On a Dask worker: `Children.call`, whatever tasks it has; Dask fills in the worker."""
     return await asyncio.to_thread(_children(dask_worker).call, run, function, *arguments)
+
+
+def machine_of(dask_worker: distributed.Worker) -> tuple[str, int, int]:
+    """On a Dask worker: name of its machine, bytes of memory there, and its threads; Dask fills in the worker."""
+    return socket.gethostname(), MEMORY_LIMIT, dask_worker.state.nthreads
 
 
 def end_children(token: str, dask_worker: distributed.Worker) -> None:

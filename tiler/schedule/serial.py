@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from tiler.schedule.task import TRIES, Look, Outcome, Perform, Task
+from tiler.schedule.task import TRIES, Look, Machine, Outcome, Perform, Task
 
 
 class SerialExecutor:
@@ -15,6 +15,10 @@ class SerialExecutor:
 
     def on_each_worker(self, look: Look) -> None:
         """Nothing: this process is the one that would look."""
+
+    def machines(self) -> list[Machine]:
+        """None but this one."""
+        return []
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes in the order of the tasks."""

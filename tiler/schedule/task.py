@@ -97,6 +97,25 @@ Look = Callable[[Callable[..., Any], str], None]
 """``look(ask, worker)``: ``ask(function, *arguments)`` is its result on that worker; raises what ends the run."""
 
 
+@dataclass(frozen=True)
+class Machine:
+    """One that workers of a cluster are on.
+
+    Attributes
+    ----------
+    name : str
+    memory_bytes : int
+        That it has, or that its container or batch job may take.
+    workers, threads : int
+        Of the cluster on it; each thread does one task at a time.
+    """
+
+    name: str
+    memory_bytes: int
+    workers: int
+    threads: int
+
+
 class Executor(Protocol):
     """Runs tasks; all executors give the same result."""
 
@@ -104,6 +123,10 @@ class Executor(Protocol):
 
     def on_each_worker(self, look: Look) -> None:
         """Have `look` judge each worker of a cluster: those that are there now, and those that join later."""
+        ...
+
+    def machines(self) -> list[Machine]:
+        """Those of a cluster whose workers are there now, by name; none where this machine is the one."""
         ...
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:

@@ -9,7 +9,9 @@ from __future__ import annotations
 import logging
 import time
 import uuid
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,15 +22,24 @@ import distributed
 from distributed import KilledWorker
 
 from tiler.errors import ConfigError, ProcessingError
-from tiler.schedule.children import WORKER_DIED, Run, call_in_child, end_children, perform_in_child
+from tiler.schedule.children import (
+    WORKER_DIED,
+    Run,
+    call_in_child,
+    end_children,
+    machine_of,
+    perform_in_child,
+)
 from tiler.schedule.here import cluster_here
-from tiler.schedule.task import TRIES, Limits, Look, Outcome, Perform, Task
+from tiler.schedule.task import TRIES, Limits, Look, Machine, Outcome, Perform, Task
 
 WAITING_PER_WORKER = 1
 """Tasks of a cluster that wait at their worker, so that it does not idle while the client hears of a result."""
 
 CONNECT_SECONDS = 20
 CLOSE_SECONDS = 5
+LOOKS_AT_A_TIME = 16
+"""Workers that are judged together: a child starts on each, which takes about a second."""
 LOOK_SECONDS = 5.0
 """Workers that joined a cluster get their share after this time."""
 
@@ -104,19 +115,36 @@ class DaskExecutor:
         self.workers = len(threads)
         self._room = max(sum(threads.values()) + WAITING_PER_WORKER * self.workers, 1)
         if self._judge is not None:
-            for worker in sorted(set(threads) - self._judged):
-                try:
-                    self._judge(partial(self._ask, worker), worker)
-                    self._judged.add(worker)
-                except ConfigError:
-                    if worker in self._client.nthreads():  # it did not go away meanwhile
-                        raise
+            new = sorted(set(threads) - self._judged)
+            with ThreadPoolExecutor(LOOKS_AT_A_TIME) as pool:
+                for found in [pool.submit(self._judge_one, self._judge, worker) for worker in new]:
+                    found.result()
+
+    def _judge_one(self, judge: Look, worker: str) -> None:
+        try:
+            judge(partial(self._ask, worker), worker)
+            self._judged.add(worker)
+        except ConfigError:
+            if worker in self._client.nthreads():  # it did not go away meanwhile
+                raise
 
     def on_each_worker(self, look: Look) -> None:
         """Have `look` judge each worker of a cluster: those that are there now, and those that join later."""
         if self._cluster is None:
             self._judge = look
             self._look()
+
+    def machines(self) -> list[Machine]:
+        """Those of a cluster whose workers are there now, by name; none where this machine is the one."""
+        if self._cluster is not None:
+            return []
+        found: dict[str, list[tuple[int, int]]] = defaultdict(list)
+        for name, memory, threads in self._client.run(machine_of).values():
+            found[name].append((memory, threads))
+        return [
+            Machine(name, max(m for m, _ in held), len(held), sum(threads for _, threads in held))
+            for name, held in sorted(found.items())
+        ]
 
     def _ask(self, worker: str, function: Callable[..., Any], *arguments: Any) -> Any:
         """What a function gives in a child of one worker."""
