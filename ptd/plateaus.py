@@ -37,11 +37,12 @@ class Plateaus:
     view : int
         As far is looked from each cell, along the eight directions, for what is no part of the surface.
     fall, slope : float
-        What lies lower by more than the first and the second a cell away lies below: terrain slopes.
+        What lies lower by more than the first and the second a cell away lies below: terrain slopes. What lies between
+        the first and both could be either; such a look says nothing.
     share : float
         Of what is seen around, so much at least lies below.
     unseen : float
-        Of the looks around, so many at most meet nothing: walls of courtyards, trees, the border of the data.
+        Of the looks around, so many at most meet or say nothing: walls of courtyards, trees, the border of the data.
     area, widest : int
         At least so many cells; at most so many columns and rows.
     """
@@ -176,7 +177,10 @@ def _looks(
                         break
                     if surface[r, c] >= 0:
                         lower = np.int64(heights[row, column]) - np.int64(heights[r, c])
-                        met = _FALLS if lower > fall + slope * steps else _OTHERS
+                        if lower > fall + slope * steps:
+                            met = _FALLS
+                        elif lower <= fall:
+                            met = _OTHERS
                         break
                 if met != _AREA:
                     looks[own, met] += 1

@@ -52,8 +52,8 @@ roof_size, _cell,     ours                        120 m,    the largest halls bu
 _step, _gap                                       2, 1, 8 m bridge the gaps of sparse clouds, 1 m of step allows roofs
                                                             of 27 degrees; parts of a roof lie among higher ones
 roof_view, _fall,     ours                        24 m,     past what stands around a roof; what is seen far away lies
-_slope                                            1.5 m,    lower on any hill: 0.2 m more for each metre
-                                                  0.2
+_slope                                            1.5 m,    lower on any hill: 0.2 m more for each metre, else it
+                                                  0.2       says nothing
 roof_share, _unseen   ours                        0.9, 0.6  terrain goes on somewhere; where most looks end in trees or
                                                             beyond the data nothing is known
 roof_area             ours                        80 m2     what is smaller was opened before

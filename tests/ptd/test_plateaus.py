@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -103,9 +104,13 @@ def by_hand(heights: np.ndarray, rule: Plateaus) -> np.ndarray:
         ahead = ((cell[0] + k * way[0], cell[1] + k * way[1]) for k in range(1, farthest + 1))
         return next((place for place in ahead if place in filled), None)
 
-    def falls_to(cell: tuple[int, int], other: tuple[int, int]) -> bool:
-        steps = max(abs(cell[0] - other[0]), abs(cell[1] - other[1]))
-        return filled[cell] - filled[other] > rule.fall + rule.slope * steps
+    def says(cell: tuple[int, int], other: tuple[int, int] | None) -> str:
+        if other is None:
+            return "nothing"
+        lower, steps = filled[cell] - filled[other], max(abs(cell[0] - other[0]), abs(cell[1] - other[1]))
+        if lower <= rule.fall:
+            return "other"
+        return "falls" if lower > rule.fall + rule.slope * steps else "nothing"
 
     found, left = np.zeros(heights.shape, bool), set(filled)
     while left:
@@ -118,10 +123,9 @@ def by_hand(heights: np.ndarray, rule: Plateaus) -> np.ndarray:
                 n for n in near if n and n not in surface and abs(filled[n] - filled[cell]) <= rule.step
             ]
         left -= surface
-        met = [(cell, first(cell, way, rule.view)) for cell in surface for way in WAYS]
-        falls = sum(n not in surface and falls_to(cell, n) for cell, n in met if n)
-        seen = sum(n not in surface for _, n in met if n)
-        unseen = sum(n is None for _, n in met)
+        looks = ((cell, first(cell, way, rule.view)) for cell in surface for way in WAYS)
+        said = Counter(says(cell, n) for cell, n in looks if n not in surface)
+        falls, seen, unseen = said["falls"], said["falls"] + said["other"], said["nothing"]
         wide = max(np.ptp([r for r, _ in surface]), np.ptp([c for _, c in surface])) + 1
         if seen and falls >= rule.share * seen and unseen <= rule.unseen * (seen + unseen):
             for cell in surface if len(surface) >= rule.area and wide <= rule.widest else ():
