@@ -34,7 +34,7 @@ class StoreError(TilerError):
 
 
 class ForeignStoreError(StoreError):
-    """Something else than a store of this version is where the store should be: another place has to be named."""
+    """No store of this version is where one should be: another place has to be named."""
 
     exit_code = 2
 

@@ -104,7 +104,8 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     plan, listener = job.plan, job.listener
     for text in plan.notes:
         listener("note", {"text": text})
-    for text in plan.warnings:
+    left_out = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in plan.unreadable]
+    for text in (*left_out, *plan.warnings):
         listener("warning", {"text": text})
     if is_url(job.products):
         job.facts["products_at"] = job.products

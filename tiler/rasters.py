@@ -121,6 +121,19 @@ def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mappin
         "blocks": len(tasks), "blocks_done_again": sum(r["tries"] > 1 for r in records),
         "thinned": any(task.arguments["thin_cell"] for task in tasks),
     }  # fmt: skip
+    if records and job.facts["dtm"]["filled"] == 0:
+        config = job.plan.config
+        what = (
+            f"points of class {', '.join(map(str, config.ground_classes))}"
+            if config.method == KEEP
+            else "ground points"
+        )
+        text = (
+            f"the terrain model has no height at all: no three {what} lie within --max-edge "
+            f"{float(config.max_edge):g} m of one another"
+        )
+        job.notes.append(text)
+        job.listener("warning", {"text": text})
 
 
 def export(

@@ -12,12 +12,12 @@ import pytest
 
 from tests.invariants import clouds
 from tests.invariants.clouds import Cloud
-from tests.invariants.runs import classes_by_point, computed, do, dtm, output_digests, the_store
+from tests.invariants.runs import classes_by_point, computed, do, dtm, output_digests, settings, the_store
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import filter_tile
-from tiler.pipeline import RunResult
+from tiler.pipeline import RunResult, run
 from tiler.simulate import DemoScene
 
 pytestmark = pytest.mark.usefixtures("small_buckets")
@@ -175,6 +175,25 @@ def test_keep_grids_the_classes_of_the_input(demo: DemoScene, tmp_path: Path) ->
     assert set(result.summary["outputs"]) == {"dtm.tif"}
     pixels, _ = dtm(tmp_path / "out")
     assert (pixels != -9999).mean() > 0.9
+
+
+def test_a_terrain_without_a_height_is_warned_of(demo: DemoScene, tmp_path: Path) -> None:
+    told: list[str] = []
+
+    def listen(event: str, fields: dict[str, Any]) -> None:
+        if event == "warning":
+            told.append(fields["text"])
+
+    (tmp_path / "in").mkdir()
+    shutil.copy(demo.truth_paths[0], tmp_path / "in")
+    (tmp_path / "in" / "page.laz").write_text("<html>")
+    result = run(
+        [str(tmp_path / "in")], tmp_path / "out", settings(method="keep", ground_classes="99"), listen
+    )
+    assert result.exit_code == 5
+    assert any("page.laz: left out: begins with b'<htm'" in text for text in told)
+    assert any("no height at all: no three points of class 99" in text for text in told)
+    assert told[-1] in result.summary["notes"]
 
 
 def assert_classes_of_the_input(out: Path, demo: DemoScene, cells: list[list[int]]) -> None:

@@ -171,7 +171,8 @@ def pixel_places(transform: Any, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     a, b, c, d, e, f = tuple(transform)[:6]
     determinant = a * e - b * d
     across, down = np.asarray(x) - c, np.asarray(y) - f
-    return (e * across - b * down) / determinant, (a * down - d * across) / determinant
+    with np.errstate(invalid="ignore"):  # a point that its CRS cannot carry over is at infinity, on no pixel
+        return (e * across - b * down) / determinant, (a * down - d * across) / determinant
 
 
 def _between_centres(raster: Any, column: float, row: float) -> float:

@@ -27,6 +27,11 @@ Read = TypeVar("Read")
 
 SUFFIXES = (".las", ".laz")
 
+CLASSIFIED = "classified"
+"""Folder in OUT of the classified clouds."""
+OF_A_RUN = frozenset(("run.json", "events.jsonl"))
+"""Files that tell an OUT."""
+
 INSPECTION_SECONDS = 60.0
 BYTES_PER_SECOND = 1e6
 """Slower than any disk and decoder: an inspection that reads all points of a file may take so long."""
@@ -125,17 +130,25 @@ def find_inputs(
         raise ConfigError("no input; name LAS or LAZ files, folders or globs")
     barred = {p.resolve() for p in exclude}
     found: dict[Path, Path] = {}
+    told: list[str] = []
+
+    def tell(text: str) -> None:
+        told.append(text)
+        note(text)
+
     for text in paths:
-        for path in _expand(str(text), barred, note):
+        for path in _expand(str(text), barred, tell):
             # Not `Path.resolve`, which fails for a link that leads in a circle: that is told of when it is read.
             real = path if is_url(path) else Path(os.path.realpath(path))
             if real in found:
-                note(f"{path}: named twice (as {found[real]}), read once")
+                tell(f"{path}: named twice (as {found[real]}), read once")
             else:
                 found[real] = path
     if not found:
         raise InputError(
-            f"{', '.join(map(str, paths))}: no .las or .laz file there; name files, folders or globs"
+            f"{', '.join(map(str, paths))}: no .las or .laz file there"
+            + "".join(f" ({text})" for text in told[:1])
+            + "; name files, folders or globs"
         )
     return sorted(found.values(), key=lambda path: (is_url(path), str(path) if is_url(path) else path))
 
@@ -159,7 +172,10 @@ def _expand(text: str, barred: set[Path], note: Callable[[str], None]) -> Iterat
         matches = sorted(glob.glob(text, recursive=True))
         if not matches:
             raise ConfigError(f"{text}: no such file or folder; name LAS or LAZ files, folders or globs")
+        own = [folder / CLASSIFIED for folder in barred]
         for match in map(Path, matches):
+            if any(Path(os.path.realpath(match)).is_relative_to(folder) for folder in own):
+                continue
             if match.is_dir():
                 yield from _walk(match, barred, note)
             elif match.suffix.lower() in SUFFIXES:
@@ -175,10 +191,17 @@ def _walk(folder: Path, barred: set[Path], note: Callable[[str], None]) -> Itera
     for root, folders, names in os.walk(folder, onerror=unreadable):
         here = Path(root)
         folders[:] = sorted(f for f in folders if (here / f).resolve() not in barred)
+        clouds = [here / name for name in sorted(names) if Path(name).suffix.lower() in SUFFIXES]
+        asked = (
+            here == folder and not clouds and here.resolve() not in barred
+        )  # an OUT: what it made is wanted
+        if CLASSIFIED in folders and OF_A_RUN.issubset(names) and not asked:
+            folders.remove(CLASSIFIED)  # the same points again
+            note(f"{here / CLASSIFIED}: is the result of a run, left out; name it to read what it holds")
         for name in folders:
             if (here / name).is_symlink():
                 note(f"{here / name}: is a link to a folder, not followed; name it to read what it holds")
-        yield from (here / name for name in sorted(names) if Path(name).suffix.lower() in SUFFIXES)
+        yield from clouds
 
 
 def inspect(path: Path, salvage: bool = False) -> SourceInfo:

@@ -26,7 +26,7 @@ from tiler.plan.area import area_of, part_of
 from tiler.plan.crowd import Crowd
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
 from tiler.plan.model import KEEP, Plan
-from tiler.plan.refuse import refuse, warnings_of
+from tiler.plan.refuse import refuse, refuse_own_results, warnings_of
 from tiler.report import earlier_statistics
 from tiler.schedule import Guards
 from tiler.store import StoreMeta
@@ -58,6 +58,8 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     parameters, defaults = _method(config)
     notes: list[str] = []
     paths = find_inputs(inputs, () if out is None else (out,), notes.append)
+    if out is not None:
+        refuse_own_results(paths, out)
     sources, unreadable = _inspect_all(paths, config)
     agreement = agree(sources, config)
     notes += agreement.notes
@@ -125,6 +127,10 @@ def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
     if config.method == KEEP:
         if config.parameters:
             raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters")
+        if not config.ground_classes:
+            raise ConfigError(
+                "--ground-classes none: method keep grids them as ground; name one or more, like 2"
+            )
         return {}, None
     if config.method not in METHODS:
         raise ConfigError(f"--method {config.method}: there is {', '.join([*METHODS, KEEP])}")

@@ -10,9 +10,12 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import ConfigError
-from tiler.ingest import SourceInfo
+from tiler.ingest import CLASSIFIED, SourceInfo
+from tiler.places import is_url
 from tiler.plan.disk import projected_disk
 from tiler.plan.model import Plan
 
@@ -62,6 +65,14 @@ def _overlap(bounds: Sequence[Sequence[float]], metres: float, tile: float, halo
     return found
 
 
+def refuse_own_results(paths: Sequence[Path], out: Path) -> None:
+    """Raise ConfigError where a run would overwrite its inputs by what it makes of them."""
+    own = Path(os.path.realpath(out)) / CLASSIFIED
+    for path in paths:
+        if not is_url(path) and Path(os.path.realpath(path)).is_relative_to(own):
+            raise ConfigError(f"{path}: lies in {out}/{CLASSIFIED}, where this run writes; use another -o")
+
+
 def refuse(plan: Plan, out: Path | None) -> None:
     """Raise ConfigError for settings that would fail on the way: memory, disk, resolution."""
     _refuse_memory(plan)
@@ -88,6 +99,12 @@ def _refuse_memory(plan: Plan) -> None:
         raise ConfigError(
             f"{worst} needs {memory[worst] / 2**20:,.0f} MiB a worker, {plan.memory / 2**20:,.0f} MiB are allowed; "
             f"use --memory {memory[worst] // 2**20 + 1}MiB{_instead(plan, worst)}"
+        )
+    workers, machine = plan.config.workers or 1, psutil.virtual_memory().total
+    if plan.config.scheduler is None and workers * memory[worst] > max(machine, memory[worst]):
+        raise ConfigError(
+            f"--workers {workers}: each needs {memory[worst] / 2**20:,.0f} MiB ({worst}), this machine has "
+            f"{machine / 2**20:,.0f} MiB; use --workers {max(machine // memory[worst], 1)}"
         )
 
 

@@ -20,6 +20,7 @@ from typing import Any
 import dask
 import distributed
 from distributed import KilledWorker
+from distributed.comm.addressing import get_address_host_port
 
 from tiler.errors import ConfigError, ProcessingError
 from tiler.schedule.children import (
@@ -92,6 +93,7 @@ class DaskExecutor:
             return
         self._address = address
         try:
+            get_address_host_port(address)  # a client that finds this out is hard to get rid of
             self._client = _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error

@@ -54,7 +54,7 @@ def open_store(url: str) -> TileStore:
     storage = Storage(url)
     data = storage.get("zarr.json")
     if data is None:
-        raise StoreError(f"{url}: no tile store here; `tiler ingest` or `tiler run` makes one")
+        raise ForeignStoreError(f"{url}: no tile store here; `tiler ingest` or `tiler run` makes one")
     try:
         root = json.loads(data)
         description = root["attributes"][layout.ROOT_ATTRIBUTE]

@@ -13,7 +13,7 @@ from pyproj import Transformer
 
 from tests.tiler.check.rasters import tilted, write_surface
 from tiler.check import Checkpoints, PointOptions, check_dtm
-from tiler.check.accuracy import bilinear, least_points
+from tiler.check.accuracy import bilinear, least_points, pixel_places
 from tiler.errors import ConfigError, InputError
 
 
@@ -148,3 +148,11 @@ def test_what_is_refused(tmp_path: Path) -> None:
         check_dtm(tmp_path / "e.tif", points, PointOptions(crs="EPSG:5773"))
     with pytest.raises(InputError, match="cannot be read"):
         check_dtm(tmp_path / "absent.tif", points)
+
+
+def test_a_point_at_infinity_is_on_no_pixel() -> None:
+    columns, rows = pixel_places(
+        (1.0, 0.0, 500.0, 0.0, -1.0, 900.0), np.array([np.inf, 510.0]), np.array([np.inf, 890.0])
+    )
+    assert np.isnan(columns[0]) or np.isinf(columns[0])
+    assert (columns[1], rows[1]) == (10, 10)

@@ -99,3 +99,24 @@ def test_names_that_would_become_one_are_refused(make_cloud: Any, tmp_path: Path
     paths = [make_cloud("a/Cloud.las", n=3), make_cloud("b/cloud.laz", n=3)]
     with pytest.raises(ConfigError, match="would both become classified/"):
         make_plan([str(p) for p in paths], RunConfig(in_process=True))
+
+
+def test_results_of_a_run_are_not_its_inputs(make_cloud: Any, tmp_path: Path) -> None:
+    make_cloud("in/a.las", n=3)
+    for out in ("in", "in/out", "in/other"):
+        make_cloud(f"{out}/classified/a.laz", n=3)
+        for name in ("run.json", "events.jsonl"):
+            (tmp_path / out / name).write_text("{}")
+    notes: list[str] = []
+    out, everything = tmp_path / "in" / "out", str(tmp_path / "in" / "**" / "*.la?")
+    assert [p.name for p in find_inputs([str(tmp_path / "in")], (out,), notes.append)] == ["a.las"]
+    assert sum("result of a run, left out" in note for note in notes) == 2, "and OUT is known"
+    assert out / "classified" / "a.laz" not in find_inputs([everything], (out,))
+    assert len(find_inputs([str(out / "classified")])) == 1, "named, it is read"
+    with pytest.raises(ConfigError, match="where this run writes"):
+        make_plan([str(out / "classified")], RunConfig(in_process=True), out)
+    assert [p.parent for p in find_inputs([str(out)])] == [out / "classified"], (
+        "named itself: as `evaluate` does"
+    )
+    with pytest.raises(InputError, match="is the result of a run"):
+        find_inputs([str(out)], (out,))

@@ -61,3 +61,14 @@ def test_a_part_that_cannot_fit_is_refused_with_what_helps(
 def test_what_is_written_is_projected(spot: Path) -> None:
     export = planned(spot).projected_memory()["export"]
     assert BASE_BYTES + 36_000 < export < 512 << 20
+
+
+def test_workers_that_no_machine_can_hold_are_refused(wide: Path) -> None:
+    with pytest.raises(ConfigError, match=r"--workers 1000000: each needs \d+ MiB .* use --workers \d+"):
+        make_plan([str(wide)], RunConfig(method="classic", workers=1_000_000))
+    assert make_plan([str(wide)], RunConfig(method="classic", workers=1)).workers == 1
+
+
+def test_keep_without_a_class_to_grid_is_refused(wide: Path) -> None:
+    with pytest.raises(ConfigError, match="--ground-classes none"):
+        make_plan([str(wide)], RunConfig(method="keep", ground_classes=()))

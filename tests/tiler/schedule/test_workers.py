@@ -12,6 +12,7 @@ import psutil
 import pytest
 
 from tests.tiler.schedule import calls
+from tiler.errors import ConfigError
 from tiler.schedule import TRIES, Executor, Limits, Outcome, SerialExecutor, Task
 from tiler.schedule.workers import DaskExecutor
 
@@ -152,3 +153,9 @@ def test_larger_tasks_may_take_longer() -> None:
     limits = Limits(seconds=10)
     assert limits.seconds_of(Task("s", "k", "d", calls.square, {}, points=5_000_000)) == 50
     assert limits.seconds_of(task(1)) == 10
+
+
+@pytest.mark.parametrize("address", ["garbage", "tcp://host", "ftp://host:8786", ""])
+def test_an_address_that_cannot_be_one_is_refused_at_once(address: str) -> None:
+    with pytest.raises(ConfigError, match="no Dask scheduler answers there"):
+        DaskExecutor(2, address)
