@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 SHARES = (0.3, 0.75, 1.5)
-"""Of the median density, where the shades of a map end."""
+"""Shares of the median density at which the shades of a map end."""
 
 
 def print_json(value: Any) -> None:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ptd.kernel import kernel
 
 BINS = 128
-"""Of the histogram of the index from -1 to 1."""
+"""Bins of the histogram of the index, from -1 to 1."""
 
 GREY = BINS // 2
 """The first bin of the colours that are greener than grey."""

@@ -13,7 +13,7 @@ from ptd.frame import Cells, Scale
 from ptd.kernel import kernel
 
 MIN_NEIGHBOURS = 3
-"""So many points far away in height are needed to call a point an outlier: two points prove nothing."""
+"""Points far away in height that it takes to call a point an outlier: two prove nothing."""
 
 
 @kernel

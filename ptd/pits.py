@@ -11,7 +11,7 @@ from ptd.labelling import LowNoise
 
 CELL_M = 1.0
 REACH_CELLS = 2
-"""So many whole cells around a point decide whether it lies in a pit."""
+"""Whole cells around a point that decide whether it lies in a pit."""
 
 _ROW = 1 << 32
 _BLOCK = (-1, 0, 1)

@@ -17,7 +17,7 @@ from ptd.kernel import kernel
 Bool = npt.NDArray[np.bool_]
 
 NOISE_QUANTILE = 1.65
-"""Of a difference of two heights in equation 1, sqrt(2) sigma each time."""
+"""One-sided 95 % quantile in equation 1, of a difference of two heights: its standard deviation is sqrt(2) sigma."""
 
 
 @kernel

@@ -157,7 +157,7 @@ def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[
 
 
 def _distance_to_unknown(known: Bool) -> npt.NDArray[np.int64]:
-    """Of each cell: rows or columns to the nearest cell that is not known, 0 in such; known is a rectangle."""
+    """Rows or columns from each cell to the nearest unknown one, 0 in such a cell; what is known is a rectangle."""
     rows, columns = (_to_false(np.asarray(known.any(axis=axis))) for axis in (1, 0))
     return np.minimum(rows[:, None], columns[None, :])
 

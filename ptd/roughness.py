@@ -43,7 +43,7 @@ REACH_CELLS = 5
 REACH_M = PATCH_M * (REACH_CELLS + 1)
 """What a window must hold around its core for `measure` to give the same with any tiles."""
 LEAST_SHARE = 0.005
-"""Of all cells with enough points: in a wood a few patches of its floor or canopy look planar and tell nothing."""
+"""Least share of planar patches among cells with enough points: in a wood the few that look planar tell nothing."""
 BIN_M = 0.001
 TALLEST_M = 8.0
 """Patches whose points span more height are no planes; keeps the sums small."""

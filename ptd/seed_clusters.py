@@ -77,7 +77,7 @@ def _highest(vertices: Int32Array, facet: Int32Array) -> int:
 def _judge_facets(
     vertices: Int32Array, facets: Int32Array, real: Bool, long_side: float, narrow_cos: float, z_ratio: float
 ) -> tuple[Int32Array, Bool]:
-    """Of each facet its corner that is noise (-1: none), and whether it joins its corners to one cluster."""
+    """The corner of each facet that is noise (-1: none), and whether the facet joins its corners to one cluster."""
     tips = np.full(facets.shape[0], -1, np.int32)
     joins = np.zeros(facets.shape[0], np.bool_)
     for i in range(facets.shape[0]):

@@ -17,14 +17,14 @@ from tiler.schedule import Machine
 from tiler.store import open_store
 
 LIBRARIES = ("numpy", "scipy", "numba", "zarr", "laspy", "lazrs", "rasterio", "pyproj", "distributed")
-"""That the bytes of a result can depend on, or whether client and workers understand each other."""
+"""Libraries on whose versions the bytes of a result depend, or whether client and workers understand each other."""
 
 LOOKED_AT = 20
 """Inputs that a worker looks at: the first, the last, and some between them."""
 
 
 def versions() -> dict[str, str]:
-    """Of tiler, Python and `LIBRARIES` in this process."""
+    """Versions of tiler, Python and `LIBRARIES` in this process."""
     python = ".".join(platform.python_version_tuple()[:2])
     return {"tiler": __version__, "Python": python, **{name: version(name) for name in LIBRARIES}}
 

@@ -111,7 +111,7 @@ class Crew:
         self._access: Access | None = None
 
     def executor(self, writes_out: bool = False) -> Executor:
-        """Whom to give tasks to.
+        """The executor to give tasks to.
 
         Parameters
         ----------

@@ -16,7 +16,7 @@ from tiler.report.html import write_report
 from tiler.simulate import DemoScene, demo_city
 
 RESOLUTION_M = Fraction(1)
-"""Of the true terrain, with which the DTM is compared pixel by pixel."""
+"""Pixel of the true terrain, with which the DTM is compared pixel by pixel."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from tiler.plan import GRID_BLOCK
 from tiler.product_tasks import WHOLE
 
 ROUNDS = 3
-"""Of repair: a disk that damages what it is given again and again is beyond it."""
+"""Rounds of repair: a disk that damages what it is given again and again is beyond it."""
 
 
 def heal(job: Job, keys: Iterable[str]) -> None:

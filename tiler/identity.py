@@ -21,7 +21,7 @@ from tiler.tasks import Source
 
 STAGE = "identify"
 GROUP_BYTES, GROUP_FILES = 32 << 20, 64
-"""Of small files that one task reads together."""
+"""Bytes and number of small files that one task reads together."""
 SAVED_SECONDS = 10.0
 """After which what is known is kept in the store, for a run that is killed on the way."""
 

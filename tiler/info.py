@@ -20,10 +20,10 @@ _STEP = 1_000_000
 _CLOUDS = (".las", ".laz")
 _POINTS_PER_CELL = 16
 _MOST_CELLS = 1024
-"""Of the raster that measures how much of the extent holds points: mean content, cells along a side at most."""
+"""Mean points of a cell, and most cells along a side, of the raster that measures how much of the extent is filled."""
 
 _MAP_COLUMNS, _MAP_ROWS = 64, 24
-"""Of the map of density, at most."""
+"""Size of the density map at most, in characters."""
 
 _RUN_FACTS = ("state", "version", "counts", "filter", "dtm", "outputs", "quarantined", "failed_tasks", "seconds",
               "peak_rss_bytes")  # fmt: skip

@@ -27,13 +27,13 @@ from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
 
 PACKED_COMMITS = 256
-"""So many tasks of a stage that are done are told of in one object when it ends, as each costs a request to ask for."""
+"""From so many commits on, a stage packs them into one object when it ends: each costs a request to read."""
 
 PLACED = ("filter", "grid-")
 """Stages whose tasks are tiles of the map in the report."""
 
 LISTED_TILES = 20_000
-"""Of a stage in run.json, which is written anew after each stage; more are counted alone."""
+"""Tiles of a stage listed in run.json, which is written again after each stage; where there are more, none is."""
 
 Warm = Callable[[Callable[[], None]], None]
 

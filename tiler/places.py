@@ -16,11 +16,11 @@ from typing import Any, BinaryIO, cast
 from tiler.errors import ConfigError, refused_write
 
 BLOCK_BYTES = 1 << 22
-"""Of an object, asked for at once: the bytes of some chunks of points."""
+"""Bytes of an object asked for at once: some chunks of points."""
 ASKED_AT_ONCE = 16
-"""Objects of which the size is wanted."""
+"""Objects whose size is asked for at the same time."""
 KEPT_BLOCKS = 8
-"""Of an object that is read: where its header, its table and its points are."""
+"""Blocks of an object that are kept while it is read: those of its header, its table and its points."""
 
 
 def is_url(text: str | Path) -> bool:

@@ -27,9 +27,9 @@ from tiler.store import TileStore, open_store
 
 WIDEST_M, NARROWEST_M = 200.0, 20.0
 MOST_POINTS = 700_000
-"""Of a window, unless its side is given: what a core filters and grids in a few seconds."""
+"""A window holds no more points, unless its side is given: one core filters and grids them in a few seconds."""
 FILES = 6
-"""From which places are sampled."""
+"""Places for windows are sampled from so many files at most."""
 PLACES = 24
 """Sampled of all files together, at least one of each."""
 GAP = 6

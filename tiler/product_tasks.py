@@ -53,9 +53,9 @@ WHOLE = "whole"
 """Key of the one task of a raster that is made at once."""
 
 COARSE_SHARE = 16
-"""Coarse cells in the limit of a facet's edge."""
+"""Coarse cells along the longest edge of a facet."""
 MAX_COARSE_CELLS = 8_000_000
-"""Of a run; larger ones have coarser cells, so that the memory of one worker suffices."""
+"""Coarse cells of a run at most; larger runs have larger cells, so that the memory of one worker suffices."""
 
 
 @dataclass
@@ -275,7 +275,7 @@ def _derived_tasks(name: str, g: Gridding) -> Iterator[Task]:
 
 
 def checksums(commits: Commits) -> list[list[str]]:
-    """Of the blocks of a raster."""
+    """Name and checksum of each block of a raster."""
     return [[key, record["checksum"]] for key, (_, record) in sorted(commits.items())]
 
 

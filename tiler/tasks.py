@@ -35,7 +35,7 @@ from tiler.places import joined
 from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
 from tiler.store import Commits
-from tiler.tiles import hull, tiles_of
+from tiler.tiles import tiles_of
 
 ERODE_RISE_M = 1
 """How much higher than a ground point an object beside it has to be for `--erode`."""
@@ -54,7 +54,7 @@ class Source:
 
     @property
     def name(self) -> str:
-        """With which the keys of its pieces begin: ``s000012``."""
+        """What the keys of its pieces begin with: ``s000012``."""
         return f"s{self.number:06d}"
 
     @property
@@ -188,7 +188,7 @@ class Assembled:
         return cls(dict(sorted(records.items())), digests)
 
     def bounds(self) -> Bounds:
-        """Of all stored points, absolute counts."""
+        """Bounds of all stored points, absolute counts."""
         found = [Bounds.from_json(r["bounds"]) for r in self.records.values() if r["bounds"]]
         return reduce(Bounds.union, found)
 
@@ -211,7 +211,7 @@ def filter_tasks(
             "labels_in": f"{LABELS}-{earlier[-1]}" if earlier and reads else None,
             "labels_out": LABELS if last else f"{LABELS}-{number}",
         }  # fmt: skip
-        sight = hull(plan.meta.bucket, tile.cells).pad(tile.max_halo + beyond)
+        sight = plan.meta.bucket.hull(tile.cells).pad(tile.max_halo + beyond)
         digests = before if reads else assembled.digests
         seen = [[c.ix, c.iy, digests[c]] for c in plan.meta.bucket.cells(sight) if c in digests]
         points = sum(assembled.records[c]["n"] for c in tile.cells)

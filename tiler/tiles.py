@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, nested
 from tiler.plan.model import MAX_HALO_FACTOR
@@ -87,19 +87,11 @@ def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[
     return found
 
 
-def hull(lattice: Lattice, cells: Iterable[Cell]) -> Bounds:
-    """The smallest bounds that hold some buckets, of which there is one at least."""
-    first, *others = (lattice.bounds(cell) for cell in cells)
-    for other in others:
-        first = first.union(other)
-    return first
-
-
 def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
     """Peak bytes of a worker that does a tile with that halo: the points of its window are known."""
     lattice = plan.meta.bucket
     column = "n_candidates" if not step.every_point and nested(plan.candidate_cell_m) else "n"
-    window = hull(lattice, cells).pad(halo)
+    window = lattice.hull(cells).pad(halo)
     held = [records[cell][column] for cell in lattice.cells(window) if cell in records]
     area = len(held) * plan.bucket_m**2
     bucket = max(records[cell]["n"] for cell in cells)

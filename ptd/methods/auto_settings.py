@@ -25,7 +25,7 @@ ROUND_HALO_M = 8.0
 """How far doubt advances in a round, seldom more."""
 LIDAR, DIM = "lidar", "dim"
 SEVERAL_SHARE = 0.001
-"""So many points that are one of several returns prove a laser."""
+"""Share of points that are one of several returns from which on the cloud is a laser scan."""
 DIM_GROUP, DIM_DEPTH = 6, 0.5
 """Blunders of image matching come in larger groups than a laser's low points, and nearer to the ground."""
 DIM_FLOOR_M = 0.2

@@ -174,7 +174,7 @@ class Chen2023(Progressive):
 
     @property
     def widths(self) -> list[int]:
-        """Of the windows, cells."""
+        """Widths of the windows, in cells."""
         size = _cells_of(self.max_building_size_m, self.thin_cell_m)
         return window_widths(self.initial_window, self.exponential_windows, size)
 

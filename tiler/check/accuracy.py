@@ -220,7 +220,7 @@ def least_points(area_km2: float) -> int:
 
 
 def _area_km2(raster: Any) -> float:
-    """Of the whole raster, as far as its CRS has lengths; data may fill less."""
+    """Area of the whole raster, if its CRS has lengths; data may fill less."""
     factor = raster.crs.linear_units_factor[1] if raster.crs is not None and raster.crs.is_projected else 1.0
     pixel = abs(float(raster.transform.determinant)) * float(factor) ** 2
     return pixel * int(raster.width) * int(raster.height) / 1e6

@@ -27,7 +27,7 @@ HEIGHT = 420
 MARGIN = 56
 BINS = 30
 MAP_PIXELS = 900
-"""Of the longer side of the map's hillshade."""
+"""Pixels along the longer side of the map's hillshade."""
 
 _STYLE = (
     "text{font:13px sans-serif;fill:#333}.axis{stroke:#888}.bar{fill:#4878a8}.out{stroke:#000;stroke-width:2}"

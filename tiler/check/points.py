@@ -29,7 +29,7 @@ _COLUMNS = {
 """Names of columns, in lower case."""
 
 _ORDER = ("x", "y", "z", "type", "cover")
-"""Of the columns of a CSV file without a heading."""
+"""Order of the columns of a CSV file without a heading."""
 
 Floats = npt.NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from tiler.las.reader import EVERYTHING, PointReader
 
 CELL_M = 2.0
 LEAST_POINTS = 3
-"""Of a strip in a cell that is compared."""
+"""Points of each strip in a cell that is compared."""
 MOST_ROUGH_M = 0.1
 """Standard deviation of a strip's heights in a cell above which the cell is too rough or steep to be compared."""
 

@@ -19,7 +19,7 @@ Runs = list[list[int]]
 """Cells of a lattice: [iy, first ix, end ix] of neighbours in a row, row by row from the south-west."""
 
 LONGEST_EDGE = 1 << 30
-"""Of a polygon, in counts along each axis: the exact test of a point then stays within int64."""
+"""Longest edge of a polygon, in counts along each axis, with which the exact test of a point stays within int64."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Area:
 
     @cached_property
     def bounds(self) -> Bounds:
-        """Of all polygons."""
+        """Bounds of all polygons."""
         x, y = np.concatenate([ring for rings in self.polygons for ring in rings]).T
         return Bounds(int(x.min()), int(y.min()), int(x.max()), int(y.max()))
 
@@ -59,7 +59,7 @@ class Area:
 
     @cached_property
     def edges(self) -> tuple[Counts, ...]:
-        """Of each polygon: x, y of the lower end, x, y of the upper one, int64 (4, n); none that is level."""
+        """The edges of each polygon but level ones: x, y of the lower end, x, y of the upper one, int64 (4, n)."""
         return tuple(np.concatenate([_rising(ring) for ring in rings], axis=1) for rings in self.polygons)
 
     @cached_property

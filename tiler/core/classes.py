@@ -22,6 +22,9 @@ KEY_POINT_FLAG = 8
 STRAY_FLAG = 16
 """Bits of `PointBlock.flags`, the same for every point format; strays are found by ingest."""
 
+MARK_BIT = 0x80
+"""Bit of a label: the decision rests on something that data outside the filter's window could change."""
+
 
 def participates(
     classification: npt.NDArray[np.uint8],

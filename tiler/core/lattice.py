@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -117,6 +118,20 @@ class Lattice:
         for iy in range(self.index_of(bounds.y0), self.index_of(bounds.y1 - 1) + 1):
             for ix in range(self.index_of(bounds.x0), self.index_of(bounds.x1 - 1) + 1):
                 yield Cell(ix, iy)
+
+    def around(self, bounds: Bounds) -> Bounds:
+        """The counts of all cells that ``bounds`` (not empty) touch."""
+        index = self.index_of
+        return Bounds(
+            self.first(index(bounds.x0)),
+            self.first(index(bounds.y0)),
+            self.first(index(bounds.x1 - 1) + 1),
+            self.first(index(bounds.y1 - 1) + 1),
+        )
+
+    def hull(self, cells: Iterable[Cell]) -> Bounds:
+        """The smallest bounds that hold some cells, of which there is one at least."""
+        return reduce(Bounds.union, map(self.bounds, cells))
 
     def to_json(self) -> str:
         """``"p/q"``."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 NODATA = -9999.0
-"""Of every raster of float32 that has pixels without a value."""
+"""Nodata value of every float32 raster that has pixels without a value."""
 
 OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE = range(5)
 """Values of the mask."""

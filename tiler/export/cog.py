@@ -32,7 +32,7 @@ from tiler.store import TileStore, open_store
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of the valid pixels; merges in a fixed order, so it does not depend on how the raster came about."""
+    """Statistics of the valid pixels; merges in a fixed order, so it does not depend on how the raster came about."""
 
     n: int = 0
     low: float = math.inf

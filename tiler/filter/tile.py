@@ -16,7 +16,7 @@ from ptd.frame import OPEN, Scale
 from ptd.frame import Window as Known
 from ptd.methods import METHODS
 from ptd.passes import Model, Pass, Points
-from tiler.core.classes import participates
+from tiler.core.classes import GROUND, LOW_NOISE, MARK_BIT, UNCLASSIFIED, participates
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
 from tiler.store import TileStore, open_store
@@ -24,12 +24,11 @@ from tiler.store import TileStore, open_store
 LABELS = "labels"
 """Name of the final labels in the store."""
 
-MARK_BIT = 0x80
 KEEP = 0
 """Label of a point that has no part in filtering: it keeps the class of its source."""
 
 REACH_CELLS = 4
-"""So many cells of a method's lattice beyond a window, an occupied bucket still tells that the data go on there."""
+"""Cells of a method's lattice beyond a window within which an occupied bucket shows that the data go on there."""
 
 
 def sight_m(step: Pass, params: Any) -> float:
@@ -67,7 +66,7 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     step = params.passes[args["pass"]]
     scale = Scale(store.meta.frame.metres_xy, store.meta.frame.metres_z, store.meta.frame.origin)
     cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
-    core = _hull(store.meta.bucket, cells)
+    core = store.meta.bucket.hull(cells)
     halo, tries, area = int(args["halo"]), 0, 0
     inner = _local(core, store)
     while True:
@@ -89,8 +88,9 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     joined = np.concatenate(list(labels.values())) if labels else np.zeros(0, np.uint8)
     counts = np.bincount(joined & ~np.uint8(MARK_BIT), minlength=256)
     return {
-        "points": int(counts.sum()), "ground": int(counts[2]), "low_noise": int(counts[7]),
-        "unclassified": int(counts[1]), "kept": int(counts[KEEP]), "marked": marked, "tries": tries, "halo": halo,
+        "points": int(counts.sum()), "ground": int(counts[GROUND]), "low_noise": int(counts[LOW_NOISE]),
+        "unclassified": int(counts[UNCLASSIFIED]), "kept": int(counts[KEEP]),
+        "marked": marked, "tries": tries, "halo": halo,
         "window_points": len(points), "core_area": core.area(), "window_area": area,
         "cells": args["cells"], "labels": _digest(labels.values()), "partial": model.partial(), "stats": model.stats,
     }  # fmt: skip
@@ -102,27 +102,8 @@ def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[
         return padded, _local(padded, store)
     align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
     margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(params.margin_m)))))
-    window = _aligned(padded, align).pad(margin)
+    window = align.around(padded).pad(margin)
     return window, _known(store, window, reach=math.ceil(REACH_CELLS * align.size))
-
-
-def _hull(lattice: Lattice, cells: Iterable[Cell]) -> Bounds:
-    bounds = [lattice.bounds(cell) for cell in cells]
-    hull = bounds[0]
-    for other in bounds[1:]:
-        hull = hull.union(other)
-    return hull
-
-
-def _aligned(bounds: Bounds, lattice: Lattice) -> Bounds:
-    """Widened to whole cells of a lattice."""
-    first, index = lattice.first, lattice.index_of
-    return Bounds(
-        first(index(bounds.x0)),
-        first(index(bounds.y0)),
-        first(index(bounds.x1 - 1) + 1),
-        first(index(bounds.y1 - 1) + 1),
-    )
 
 
 def _known(store: TileStore, window: Bounds, reach: int) -> Known:

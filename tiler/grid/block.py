@@ -20,6 +20,7 @@ from ptd.idw import inverse_distance
 from ptd.tin import Pixels, Raster, Tin, Window, rasterise
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
+from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
@@ -30,7 +31,6 @@ from tiler.grid.ground import (
     central_points,
     ranked_points,
     read_ground,
-    whole_cells,
 )
 from tiler.store import TileStore, open_store
 
@@ -203,12 +203,10 @@ def _ground(store: TileStore, job: GridJob, window: Bounds) -> tuple[Ground, npt
     # Cells that the window cuts are read whole, so that the choice in them is everybody's choice.
     choose = _choice(job.thin, job.percent, store.meta.frame.origin)
     at_once = choose if _by_bucket(store, job) else None
-    ground = read_ground(store, job.rule, whole_cells(window, job.thin), at_once)
+    ground = read_ground(store, job.rule, job.thin.around(window), at_once)
     origin, chosen = store.meta.frame.origin, choose(ground.xyz)
     xyz = ground.xyz[:, chosen]
-    x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
-    inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
-    return ground, xyz[:, inside]
+    return ground, xyz[:, PointBlock(xyz).inside(window, origin)]
 
 
 def _choice(cell: Lattice, percent: int | None, origin: tuple[int, int]) -> Choose:

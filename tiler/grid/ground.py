@@ -12,14 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.erosion import beside_objects
-from tiler.core.classes import GROUND, NOISE, WITHHELD_FLAG
+from tiler.core.classes import GROUND, MARK_BIT, NOISE, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
 from tiler.store import TileStore
-
-MARK_BIT = 0x80
-"""Of a label: the decision rests on something that data outside of the filter's window could change."""
 
 
 @dataclass(frozen=True)
@@ -150,14 +147,6 @@ def _there(column: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell) -
             f"{store.url}: bucket {cell.name} lacks its classes or flags; start anew with --overwrite"
         )
     return column
-
-
-def whole_cells(bounds: Bounds, lattice: Lattice) -> Bounds:
-    """The counts of all cells that ``bounds`` touch."""
-    first = lattice.first
-    west, south = lattice.index_of(bounds.x0), lattice.index_of(bounds.y0)
-    east, north = lattice.index_of(bounds.x1 - 1) + 1, lattice.index_of(bounds.y1 - 1) + 1
-    return Bounds(first(west), first(south), first(east), first(north))
 
 
 def central_points(

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from ptd.highest import NOTHING, HighestReturns
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
+from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
 from tiler.grid.block import GridJob, full_halo, heights_in_units, rasterise_window, read_job
 from tiler.grid.checksum import checksum
@@ -100,9 +101,7 @@ def _vertices(store: TileStore, job: GridJob, window: Bounds, args: dict[str, An
     block = Block(spec.north - north, west - spec.west, north - south, east - west)
     returns = _returns(store, job, block, args).reshape(-1, 3).T
     returns = returns[:, returns[2] != NOTHING]
-    origin = store.meta.frame.origin
-    x, y = (returns[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
-    inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
+    inside = PointBlock(returns).inside(window, store.meta.frame.origin)
     return np.ascontiguousarray(returns[:, inside])
 
 

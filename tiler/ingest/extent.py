@@ -19,7 +19,7 @@ _PLACES = 16
 _SAMPLE = 2048
 _SCAN = 1 << 19
 _BLOCK_BYTES = 1 << 19
-"""Of an object: about what a chunk's coordinates take."""
+"""Bytes of an object read at once: about what a chunk's coordinates take."""
 _WIDEST = 1e6
 """Units of a credible extent: from anywhere within it, int32 counts reach all of it."""
 
@@ -138,7 +138,7 @@ class _Hull:
 
     @classmethod
     def of(cls, header: LasHeader, blocks: Iterable[Records]) -> _Hull:
-        """Of some records; coordinates that are none are left out."""
+        """The hull of some records, without coordinates that are not finite."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for block in blocks:
             for axis, name in enumerate("XYZ"):

@@ -19,7 +19,7 @@ from tiler.las.records import VariableRecord, walk_records
 from tiler.places import open_cloud, stat_cloud
 
 _BLOCK_BYTES = 1 << 18
-"""Of an object: what stands before the points, its chunk table, and a record seldom take more."""
+"""Bytes of an object read at once: what stands before the points, the chunk table or a record seldom take more."""
 _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")
 _HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
@@ -298,7 +298,7 @@ def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
 
 
 def _digest(stream: BinaryIO, stop: int) -> str:
-    """Of the bytes before the points, read in bounded pieces."""
+    """Digest of the bytes before the points, read in bounded pieces."""
     digest = hashlib.blake2b(digest_size=16)
     stream.seek(0)
     while stop > 0 and (part := stream.read(min(stop, 1 << 20))):

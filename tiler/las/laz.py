@@ -20,7 +20,7 @@ _ITEM_VERSION = 3
 
 
 MOST_CHUNKS = 1 << 21
-"""Of 50,000 points each more than any file has; the table of more would not fit into memory."""
+"""Most chunks of a file: with 50,000 points each, more than any file has; a longer table would fill the memory."""
 
 
 class LazDamage(Exception):

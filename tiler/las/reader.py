@@ -34,7 +34,7 @@ EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
 COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
 
 BYTES_AT_ONCE = 1 << 27
-"""Of decoded records: their length is what the header says, up to 64 KiB each."""
+"""Decoded records held at once: each is as long as the header says, up to 64 KiB."""
 
 _STEP = 1 << 16
 

@@ -21,7 +21,7 @@ from tiler.plan.sizes import bounds_of
 from tiler.vector import read_polygons
 
 MOST_HALVINGS = 12
-"""Of an edge that is bent where it goes into another CRS."""
+"""How often an edge is halved at most, where it bends on its way into another CRS."""
 BEND = 0.005
 """Units of the CRS by which a straight edge may leave the bent one."""
 

@@ -12,7 +12,7 @@ from tiler.ingest import Patch
 CELL_M = 64.0
 """Side of a cell of the map: about a bucket."""
 MOST_CELLS = 1_000_000
-"""Of the map; where files cover more, its cells are larger."""
+"""Cells of the map at most; where files cover more, the cells are larger."""
 
 
 class Crowd:

@@ -6,11 +6,11 @@ from tiler.core.products import PRODUCTS
 from tiler.plan.model import KEEP, Plan
 
 SPOOL_BYTES, COLUMN_BYTES = 12, 12
-"""Of a point on disk between decoding and its bucket, and in its bucket with its label; measured on a city."""
+"""Per point on disk, in the spool, and in its bucket with its label; measured on a city."""
 STORED_PIXEL_BYTES = 2.2
-"""Of a pixel of the store's rasters, compressed; measured on a terrain model."""
+"""Per pixel of the store's rasters, compressed; measured on a terrain model."""
 COPIES = 2
-"""Of the raster while its COG is made: the plain copy, and what GDAL writes."""
+"""Copies of a raster while its COG is made: the plain one, and what GDAL writes."""
 CLASSIFIED_SHARE = 1.2
 """Bytes of a classified file over those of its LAZ input; LAS inputs shrink."""
 

@@ -11,23 +11,23 @@ from fractions import Fraction
 FINE_CELL_M = Fraction(1, 2)
 """Side of the store's cells, each with one candidate."""
 BASE_BYTES = 260 << 20
-"""Of a worker before the first point: the interpreter and the libraries."""
+"""A worker before the first point: the interpreter and the libraries."""
 READ_BYTES = 60
-"""Of a candidate that a window reads: columns, sorting."""
+"""Per candidate that a window reads: columns and sorting."""
 VERTEX_BYTES = 200
-"""Of a candidate that may become a vertex: its columns while it is tested, its share of the TIN."""
+"""Per candidate that may become a vertex: its columns while it is tested, and its share of the TIN."""
 BUCKET_POINT_BYTES = 200
-"""Of a point while its bucket is labelled."""
+"""Per point while its bucket is labelled."""
 ASSEMBLY_POINT_BYTES = 800
-"""Of a point while its bucket is assembled: fragments, keys and their order."""
+"""Per point while its bucket is assembled: fragments, keys and their order."""
 SPOOL_POINT_BYTES = 160
-"""Of a point while its piece is decoded and sorted."""
+"""Per point while its piece is decoded and sorted."""
 GROUND_BYTES = 200
-"""Of a ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
+"""Per ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
 EXPORT_BYTES = 128 << 20
-"""Of a worker that writes a file: GDAL's blocks, or the records of a classified cloud that are at work."""
+"""A worker that writes a file: GDAL's blocks, or the records of a classified cloud in hand."""
 EXPORT_POINTS = 1 << 27
-"""Of a classified cloud, whose labels are held at once, a byte each."""
+"""Points of the largest classified cloud: its labels are held at once, a byte each."""
 
 
 @dataclass(frozen=True)

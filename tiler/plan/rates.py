@@ -17,7 +17,7 @@ TYPICAL = {"spool": 0.9, "assemble": 0.7, "filter": 1.0, "grid": 0.7, "export": 
 """Worker seconds a million points where nothing is known of a stage; measured on a city, other machines differ."""
 
 FEWEST_POINTS = 1_000_000
-"""Of a run that is remembered: smaller ones take the time of their start."""
+"""Points of the smallest run that is remembered: the time of smaller ones is mostly start-up."""
 
 _NEWEST = 0.5
 """Weight of the newest run in what is remembered."""

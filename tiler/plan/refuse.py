@@ -20,7 +20,7 @@ from tiler.plan.disk import projected_disk
 from tiler.plan.model import Plan
 
 MAX_DENOMINATOR = 511
-"""Of a pixel's side in counts, so that gridding is exact in int64."""
+"""Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
 WIDEST_RELIEF_M = 9000
 WIDE_TILE = 2 + 2 * math.sqrt(2)
 """Halos in a tile that does twice the work."""

@@ -27,21 +27,21 @@ LONGER_SIDE = 1600
 """Pixels of a picture at most."""
 
 MOST_BYTES = 3 << 20
-"""Of all pictures as files; in the page they take a third more. Larger ones are made anew, smaller."""
+"""Bytes of all pictures together, as files (a third more in the page). Beyond that they are drawn again, smaller."""
 
 SHADES = 63
 """Steps of a picture: more are not seen, and cost bytes."""
 
 CLIPPED_PERCENT = 0.5
-"""Of the pixels at either end that the colours do not tell apart, so that a spike does not take the whole range."""
+"""Percentage of pixels at either end that share one colour, so that a spike does not take up the whole range."""
 
 LEGEND_STEPS = 5
 
 CACHE_MB = 16
-"""Of GDAL's blocks while a raster is read: two rows of blocks of an overview that is twice a picture's width."""
+"""GDAL's cache while a raster is read: it holds two rows of blocks of an overview twice as wide as a picture."""
 
 STRIP_ROWS = 128
-"""Of a picture whose slopes or colours are computed at once."""
+"""Rows of a picture whose slopes or colours are computed at once."""
 
 Colour = tuple[int, int, int]
 UInt8s = npt.NDArray[np.uint8]
@@ -52,7 +52,7 @@ TERRAIN: tuple[Colour, ...] = (
     (44, 110, 96), (126, 172, 108), (228, 216, 146), (198, 146, 94), (150, 96, 72), (246, 242, 238),
 )  # fmt: skip
 VIRIDIS: tuple[Colour, ...] = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-"""Of matplotlib (CC0), at every quarter."""
+"""The colour map of matplotlib (CC0), at every quarter."""
 GREY: tuple[Colour, ...] = ((16, 16, 16), (255, 255, 255))
 
 
@@ -185,7 +185,7 @@ def _strips(rows: int) -> Iterator[slice]:
 
 
 def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> _Indexed:
-    """Of the decimated heights: what is smaller than a pixel of the picture cannot be seen anyway."""
+    """Hillshade of the decimated heights: what is smaller than a pixel of the picture cannot be seen anyway."""
     west, south, east, north = extent
     metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
     rows, columns = heights.shape

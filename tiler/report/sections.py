@@ -11,7 +11,7 @@ from tiler.report.document import Content, Node, el, section, table
 from tiler.report.pictures import Pictures
 
 MOST_ROWS = 1000
-"""Of a table; the rest is in run.json."""
+"""Rows of a table at most; the rest is in run.json."""
 
 SQUARE_KM = 1e6
 

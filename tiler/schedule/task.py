@@ -66,7 +66,7 @@ class Outcome:
 
 
 TRIES = 3
-"""Of a task: then it is given up, and the rest goes on."""
+"""How often a task is tried; then it is given up, and the rest goes on."""
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from tiler.core.lattice import Bounds, Lattice
-from tiler.grid.ground import central_points, whole_cells
+from tiler.core.lattice import Lattice
+from tiler.grid.ground import central_points
 
 
 @pytest.mark.parametrize("size", [Fraction(250), Fraction(1000, 3), Fraction(7, 2)])
@@ -29,9 +29,3 @@ def test_the_central_point_is_kept(size, origin):
     chosen = {tuple(p) for p in (xyz[:, kept].T + np.array([*origin, 0])).tolist()}
     assert len(kept) == len(best)
     assert chosen == {(x, y, z) for _, x, y, z in best.values()}
-
-
-def test_whole_cells_hold_the_bounds():
-    assert whole_cells(Bounds(-1, 0, 1, 250), Lattice(Fraction(250))) == Bounds(-250, 0, 250, 250)
-    assert whole_cells(Bounds(0, 0, 1, 334), Lattice(Fraction(1000, 3))) == Bounds(0, 0, 334, 334)
-    assert whole_cells(Bounds(0, 0, 1, 335), Lattice(Fraction(1000, 3))) == Bounds(0, 0, 334, 667)
