@@ -194,7 +194,7 @@ class Plan:
         }
 
     def _projected_filter(self, step: PlannedPass) -> int:
-        """Peak bytes of a pass: mean tile and widest halo, or the fullest tile, divided until it fits or is one bucket."""
+        """Peak bytes of a pass: mean tile with widest halo, or fullest tile, divided until it fits or is one bucket."""
         mean = self.filter_peak(step, float(self.tile), self.widest_halo_m(step))
         whole = self.filter_peak(step, float(self.tile), step.halo_m, crowded=True)
         least = self.filter_peak(step, self.bucket_m, step.halo_m, crowded=True)
