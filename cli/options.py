@@ -110,7 +110,7 @@ inputs_argument = click.argument("inputs", nargs=-1, required=True, metavar="INP
 
 out_option = click.option(
     "-o", "--out", required=True, type=click.Path(), metavar="OUT",
-    help="folder of the results, or a URL (s3://...); the same OUT again goes on where it stopped",
+    help="folder of the results, or a URL (s3://...); with the same OUT again the run resumes",
 )  # fmt: skip
 
 json_option = click.option(

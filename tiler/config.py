@@ -53,7 +53,8 @@ class RunConfig:
                                           "is coarser", unit="m", kind="length")  # fmt: skip
     tile_size: Fraction | None = setting(None, "side of a filter tile; default from density and memory",
                                          unit="m", kind="length")  # fmt: skip
-    halo: Fraction | None = setting(None, "points around a tile that the filter sees; default from the method",
+    halo: Fraction | None = setting(None, "width of a tile's surroundings that the filter sees; default from the "
+                                    "method",
                                     unit="m", kind="length")  # fmt: skip
     max_edge: Fraction = setting(
         Fraction(100), "a pixel has no height where the triangle of ground points around it has a longer edge, or the "
@@ -62,26 +63,27 @@ class RunConfig:
     interpolation: str = setting("linear", "heights between ground points: linear on the TIN, natural neighbours, or "
                                  "idw (12 nearest, 1 / squared distance); all fill the same pixels", kind="choice",
                                  choices=("linear", "natural", "idw"))  # fmt: skip
-    surface: str = setting("all", "ground points that make the DTM: all, or of each cell of half a pixel the median or "
-                           "a percentile (p10) of the heights, for noisy matched clouds", kind="surface")  # fmt: skip
-    erode: Fraction = setting(Fraction(0), "ground points so near to an object's point at least 1 m higher are not "
-                              "gridded: stumps of walls in matched clouds", unit="m", kind="length")  # fmt: skip
+    surface: str = setting("all", "ground points that make the DTM: all, or one in each cell of half a pixel, that at "
+                           "the median or a percentile (p10) of the heights, for noisy matched clouds",
+                           kind="surface")  # fmt: skip
+    erode: Fraction = setting(Fraction(0), "leave out ground points this near to a point of an object at least 1 m "
+                              "higher: stumps of walls in matched clouds", unit="m", kind="length")  # fmt: skip
     voids: str = setting("leave", "pixels beyond `max-edge` inside the survey: leave (no height), fill (from "
                          "their rim), or mark (fill, and write the mask)", kind="choice",
                          choices=("leave", "fill", "mark"))  # fmt: skip
-    spike: Fraction = setting(Fraction(5), "the DSM leaves out a highest return that rises so far above all returns "
-                              "around it (next pixels, at least 1 m)", unit="m", kind="length")  # fmt: skip
+    spike: Fraction = setting(Fraction(5), "the DSM leaves out a pixel's highest return if it rises this far above "
+                              "all returns around it (next pixels, at least 1 m)", unit="m", kind="length")  # fmt: skip
     memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "
                                  "if that is less", unit="bytes", kind="bytes")  # fmt: skip
     workers: int | None = setting(None, "worker processes, one thread each; default: cores", kind="int")
     in_process: bool = setting(
         False,
-        "one worker, and that the command itself, for debugging: what crashes it ends the run",
+        "work in the command's own process, for debugging: whatever crashes it ends the run",
         kind="flag",
     )
     task_seconds: int = setting(
-        600, "time in which a worker has to finish a task of a million points (larger ones in proportion, smaller ones "
-        "too) before it is taken for hung and replaced", unit="s", kind="int",
+        600, "time for a task of up to a million points, in proportion for a larger one; a worker that takes longer "
+        "counts as hung and is replaced", unit="s", kind="int",
     )  # fmt: skip
     scheduler: str | None = setting(
         None, "address of a running Dask scheduler (tcp://host:8786); default: workers on this machine"
@@ -110,7 +112,7 @@ class RunConfig:
                                      "patches", unit="m", kind="length")  # fmt: skip
     statistics: str | None = setting(
         None,
-        "OUT folder of an earlier run of the same method, to take its run-wide statistics; default: this run's",
+        "OUT folder of an earlier run of the same method, whose run-wide statistics are used; default: this run's own",
     )
     nodata: float = setting(NODATA, "value of pixels without a height in rasters of heights and slopes (-999999 for "
                             "USGS)", unit="as the raster", kind="nodata")  # fmt: skip
@@ -118,10 +120,10 @@ class RunConfig:
     on_error: str = setting("skip", "a broken file or tile is left out (exit code 5), or stops the run", kind="choice",
                             choices=("skip", "stop"))  # fmt: skip
     salvage: bool = setting(
-        False, "read what is there of a truncated file instead of leaving it out", kind="flag"
+        False, "read what is left of a truncated file instead of leaving it out", kind="flag"
     )
     verify: bool = setting(False, "read the inputs again to see whether they changed", kind="flag")
-    overwrite: bool = setting(False, "start anew instead of going on with what OUT holds", kind="flag")
+    overwrite: bool = setting(False, "start afresh instead of resuming with what OUT holds", kind="flag")
     clean_store: bool = setting(False, "remove the store when the run is done", kind="flag")
 
     @property
