@@ -51,6 +51,7 @@ def test_feet_and_shifted_local_coordinates_give_the_same_labels() -> None:
     assert (classify(in_feet, Scale(feet, feet)) != labels).mean() < 0.001
 
 
+@pytest.mark.slow
 def test_errors_on_the_isprs_samples(shared_data: Path) -> None:
     if not (shared_data / "isprs").is_dir():
         pytest.skip("no ISPRS samples: ../shared/data/isprs is absent")

@@ -39,7 +39,7 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Large enough that there is time to hit it, once the kernels are compiled."""
     warm_filters("classic", lambda: None)
     warm_gridding("linear", lambda: None)
-    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(320.0, 3.0))
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(256.0, 2.0))
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,11 @@ def all_gone(group: list[psutil.Process]) -> bool:
 
 
 @pytest.mark.parametrize(
-    "interrupt", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "a batch system's SIGTERM"]
+    "interrupt",
+    [
+        pytest.param(signal.SIGINT, id="ctrl-c"),
+        pytest.param(signal.SIGTERM, id="a batch system's SIGTERM", marks=pytest.mark.slow),
+    ],
 )
 def test_an_interrupt_ends_it_and_the_command_goes_on(
     interrupt: signal.Signals, cloud: Path, undisturbed: dict[str, str], tmp_path: Path

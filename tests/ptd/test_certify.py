@@ -270,10 +270,10 @@ def test_across_gives_the_triangle_behind_an_edge() -> None:
     real = [t for t in range(tin.n_triangles) if not tin.is_ghost(t)]
     home = tin.locate(5, 5)
     arrays = tin.vertex_array, tin.triangle_array
-    assert {across(*arrays, home, 5, 5), home} == set(real)
-    assert across(*arrays, tin.locate(2, 2), 2, 2) == tin.locate(2, 2)
-    assert across(*arrays, home, 10, 0) == home
-    assert tin.is_ghost(across(*arrays, tin.locate(5, 0), 5, 0))
+    assert {across(*arrays, home, np.int32(5), np.int32(5)), home} == set(real)
+    assert across(*arrays, tin.locate(2, 2), np.int32(2), np.int32(2)) == tin.locate(2, 2)
+    assert across(*arrays, home, np.int32(10), np.int32(0)) == home
+    assert tin.is_ghost(across(*arrays, tin.locate(5, 0), np.int32(5), np.int32(0)))
 
 
 def test_boxes_in_doubt_cover_each_cell_that_they_touch() -> None:

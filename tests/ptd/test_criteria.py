@@ -22,8 +22,13 @@ def tin_of(*points: Point) -> Tin:
     return Tin.build(x, y, z)
 
 
+def in_counts(*values: int) -> tuple[np.int32, ...]:
+    """Coordinates as the filter gives them to kernels, which compile them for no other integers."""
+    return tuple(np.int32(value) for value in values)
+
+
 def measure(tin: Tin, x: int, y: int, z: int, ratio: float = 1.0) -> tuple[float, float, float, float]:
-    return facet_measures(tin.vertex_array, tin.triangle_array, tin.locate(x, y), x, y, z, ratio)
+    return facet_measures(tin.vertex_array, tin.triangle_array, tin.locate(x, y), *in_counts(x, y, z), ratio)
 
 
 def limits(**values: float) -> Limits:
@@ -36,7 +41,7 @@ def judge(
     """Passed, elsewhere, doubtful; `doubt` are triangles in doubt."""
     in_doubt = np.array([t in doubt for t in range(tin.n_triangles)], np.uint8)
     t = tin.locate(x, y)
-    return accepts(tin.vertex_array, tin.triangle_array, t, x, y, z, limits(**values), in_doubt)
+    return accepts(tin.vertex_array, tin.triangle_array, t, *in_counts(x, y, z), limits(**values), in_doubt)
 
 
 # Equilateral, 10 m in plan to within a millimetre; the middle is 5774 mm from each corner.
@@ -91,7 +96,9 @@ def test_on_a_vertex_only_the_vertex_passes(z: int, passed: bool) -> None:
     for t in range(tin.n_triangles):
         if 0 in (tin.vertices[v, :2].any() for v in tin.triangle(t) if v >= 0) and not tin.is_ghost(t):
             in_doubt = np.zeros(tin.n_triangles, np.uint8)
-            found.add(accepts(tin.vertex_array, tin.triangle_array, t, 0, 0, z, limits(), in_doubt))
+            found.add(
+                accepts(tin.vertex_array, tin.triangle_array, t, *in_counts(0, 0, z), limits(), in_doubt)
+            )
     assert found == {(passed, False, False)}
 
 
@@ -125,7 +132,7 @@ def test_on_a_steep_facet_a_point_is_tested_where_its_mirror_image_lies() -> Non
     x, y = 5_500, 2_000
     arrays = tin.vertex_array, tin.triangle_array
     assert measure(tin, x, y, 0)[2] < math.cos(math.radians(60)) ** 2
-    other, mx, my = mirror_facet(*arrays, tin.locate(x, y), x, y)
+    other, mx, my = mirror_facet(*arrays, tin.locate(x, y), *in_counts(x, y))
     top = next(v for v in ((6_000, 0), (6_000, 12_000)) if (2 * v[0] - x, 2 * v[1] - y) == (mx, my))
     assert top in ((6_000, 0), (6_000, 12_000))
     assert mx == 6_500
@@ -145,7 +152,7 @@ def test_the_mirror_image_keeps_the_height() -> None:
 def test_of_equally_high_corners_the_lexicographically_smallest_mirrors() -> None:
     for points in ((0, 0, 9), (4, 0, 9), (0, 4, 0)), ((0, 4, 9), (4, 0, 9), (0, 0, 0)):
         tin = tin_of(*points)
-        _, mx, my = mirror_facet(tin.vertex_array, tin.triangle_array, tin.locate(1, 1), 1, 1)
+        _, mx, my = mirror_facet(tin.vertex_array, tin.triangle_array, tin.locate(1, 1), *in_counts(1, 1))
         top = min(p for p in points if p[2] == 9)
         assert (mx, my) == (2 * top[0] - 1, 2 * top[1] - 1)
 
@@ -178,7 +185,7 @@ def test_an_answer_in_doubt() -> None:
     assert tin.is_ghost(image)
     for t in range(tin.n_triangles):
         doubtful = judge(tin, 5_500, 7_000, 0, {t}, terrain_deg=60.0)[2]
-        top = mirror_facet(tin.vertex_array, tin.triangle_array, steep, 5_500, 7_000)[0]
+        top = mirror_facet(tin.vertex_array, tin.triangle_array, steep, *in_counts(5_500, 7_000))[0]
         assert doubtful == (t in (steep, top))
 
 
@@ -201,7 +208,7 @@ def test_measures_are_exact_to_a_few_bits_and_do_not_feel_a_shift(
     p = np.array(point, object)
     tin = tin_of(*corners)
     t = next(t for t in range(4) if not tin.is_ghost(t))
-    got = facet_measures(tin.vertex_array, tin.triangle_array, t, *point, 1.0)
+    got = facet_measures(tin.vertex_array, tin.triangle_array, t, *in_counts(*point), 1.0)
     height = int((normal * (p - a)).sum())
     size = float((abs(normal) * abs(p - a)).sum()) / math.sqrt(n2)
     assert got[0] == pytest.approx(
@@ -215,7 +222,7 @@ def test_measures_are_exact_to_a_few_bits_and_do_not_feel_a_shift(
     moved = tin_of(*(tuple(np.add(q, shift)) for q in (corners[2], corners[0], corners[1])))
     t = next(t for t in range(4) if not moved.is_ghost(t))
     at = tuple(int(v) for v in np.add(point, shift))
-    assert facet_measures(moved.vertex_array, moved.triangle_array, t, *at, 1.0) == got
+    assert facet_measures(moved.vertex_array, moved.triangle_array, t, *in_counts(*at), 1.0) == got
 
 
 def test_within_its_limits() -> None:

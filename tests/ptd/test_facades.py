@@ -55,8 +55,8 @@ def wall(column: int, rows: int, top: float, n: int = 60) -> np.ndarray:
 
 
 def cloud(*parts: np.ndarray) -> np.ndarray:
-    joined = np.ascontiguousarray(np.concatenate(parts, axis=1))
-    return joined[:, np.random.default_rng(0).permutation(joined.shape[1])]
+    joined = np.concatenate(parts, axis=1)
+    return np.ascontiguousarray(joined[:, np.random.default_rng(0).permutation(joined.shape[1])])
 
 
 def house() -> np.ndarray:

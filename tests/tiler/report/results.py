@@ -98,7 +98,8 @@ class Reader(HTMLParser):
         super().__init__()
         self.tags: list[str] = []
         self.attributes: list[tuple[str, str, str]] = []
-        self.texts: dict[str, str] = {"": ""}
+        self.texts: dict[str, str] = {}
+        self._parts: dict[str, list[str]] = {"": []}
         self.data: dict[str, Any] = {}
         self._open: list[str] = []
         self._section = ""
@@ -108,7 +109,7 @@ class Reader(HTMLParser):
         self.attributes += [(tag, name, value or "") for name, value in attrs]
         if tag == "section":
             self._section = str(dict(attrs)["id"])
-            self.texts[self._section] = ""
+            self._parts[self._section] = []
         self._open.append(str(dict(attrs).get("id", tag)))
 
     def handle_endtag(self, tag: str) -> None:
@@ -120,10 +121,17 @@ class Reader(HTMLParser):
         if self._open and self._open[-1] == "data":
             self.data = json.loads(data)
         elif not self._open or self._open[-1] not in ("script", "style"):
-            self.texts[self._section] = re.sub(r"\s+", " ", f"{self.texts[self._section]} {data}")
+            self._parts[self._section].append(data)
+
+    def close(self) -> None:
+        super().close()
+        self.texts = {
+            name: re.sub(r"\s+", " ", " ".join(["", *parts])) for name, parts in self._parts.items()
+        }
 
 
 def read(path: Path) -> Reader:
     reader = Reader()
     reader.feed(path.read_text("utf-8"))
+    reader.close()
     return reader
