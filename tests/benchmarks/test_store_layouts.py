@@ -6,9 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 BENCHMARK = Path(__file__).with_name("store_layouts.py")
 
 
+@pytest.mark.slow
 def test_the_benchmark_prints_its_table() -> None:
     command = [sys.executable, "-W", "error", str(BENCHMARK), "--points", "20000"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -104,6 +104,7 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
     goes_on_to_the_same(cloud, out, undisturbed)
 
 
+@pytest.mark.slow  # tests/invariants/test_kill.py does it by default, in one process
 def test_kill_of_the_whole_group(cloud: Path, undisturbed: dict[str, str], tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = start(cloud, out)
