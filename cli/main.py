@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import os
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import click
@@ -87,6 +89,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
+    with _open_streams():
+        return _run(arguments)
+
+
+@contextmanager
+def _open_streams() -> Iterator[None]:
+    """Streams for a process that was started with its own closed: what is written there is for nobody."""
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:
+        closed = [name for name in ("stdout", "stderr") if getattr(sys, name) is None]
+        for name in closed:
+            setattr(sys, name, nowhere)
+        try:
+            yield
+        finally:
+            for name in closed:
+                setattr(sys, name, None)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     session = Session()
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:

@@ -72,7 +72,10 @@ def _classify(
             "note", {"text": f"{source}: has no CRS; metres are assumed, --units or --crs say otherwise"}
         )
         config = config.updated(crs="none")
-    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{target}: its folder cannot be made ({error.strerror}); name another") from error
     with TemporaryDirectory(prefix=".tiler-", dir=target.parent) as scratch:
         summary = run([str(source)], scratch, config.updated(store=None), listener, until="filter").summary
         store = open_store(str(Path(scratch) / "store.zarr"))

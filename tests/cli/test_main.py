@@ -220,3 +220,8 @@ def test_as_a_process() -> None:
     assert done.stderr.startswith("tiler: error: nowhere.laz: ")
     assert done.stderr.count("\n") == 1
     assert done.stdout == ""
+
+
+def test_a_closed_output_is_no_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdout", None)
+    assert main(["methods", "classic"]) == 0
