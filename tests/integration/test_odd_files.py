@@ -7,7 +7,7 @@ garbage_nVariableLength.las                  3     says so many records, there i
 Semis_2022_0906_6665_nok.laz                 3     its header was never finished
 1.2-with-color-clipped.las, 1.2-no-points    3     says 1065 points, has room for fewer: cut short
 epsg_4326.las, spurious.las                  3     the CRS is geographic
-no-points.las                                3     hold no point
+no-points.las                                3     no points; there is nothing
 extra, gps-time-nan, noise-dirty, simple1_3  3     has no CRS; with ``--crs none`` 0
 test_noepsg_..., vegetation_1_3, warsaw      3     has no CRS; with ``--crs none`` 0
 all others                                   0
@@ -34,7 +34,7 @@ REFUSED = {
     "Semis_2022_0906_6665_nok.laz": "header was never finished",
     "epsg_4326.las": "geographic",
     "garbage_nVariableLength.las": "variable length records",
-    "no-points.las": "hold no point",
+    "no-points.las": "no points; there is nothing",
     "spurious.las": "geographic",
     **dict.fromkeys(NO_CRS_FILES, NO_CRS),
 }

@@ -14,7 +14,7 @@ from ptd.frame import Cells
 from ptd.morphology import EMPTY, CellRaster
 from ptd.plateaus import Plateaus, on_plateaus, plateaus
 
-RULE = Plateaus(step=1000, gap=2, view=4, fall=1500, slope=0, share=0.9, unseen=0.5, area=20, widest=12)
+RULE = Plateaus(step=1000.0, gap=2, view=4, fall=1500.0, slope=0.0, share=0.9, unseen=0.5, area=20, widest=12)
 WAYS = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if r or c]
 
 
@@ -85,7 +85,7 @@ def test_terrain_is_kept(why: str) -> None:
         # A clearing in a wood on a hill: the ground seen four cells away is lower by 1 m a cell, as on any slope.
         heights[7:23, 5:21] = EMPTY
         heights[10:20, 8:18] = 4500
-        rule = replace(RULE, slope=800)
+        rule = replace(RULE, slope=800.0)
     elif why == "higher beside":
         heights[10:20, 18:28] = 9000
     elif why == "out of sight":
@@ -148,7 +148,7 @@ def blocky(draw: st.DrawFn) -> np.ndarray:
 def test_it_is_the_rule_and_sees_no_farther_than_it_says(
     heights: np.ndarray, gap: int, view: int, widest: int
 ) -> None:
-    rule = replace(RULE, gap=gap, view=view, slope=700, widest=widest, area=4, share=0.7)
+    rule = replace(RULE, gap=gap, view=view, slope=700.0, widest=widest, area=4, share=0.7)
     found = plateaus(heights, rule)
     assert np.array_equal(found, by_hand(heights, rule))
     for row, column in ((13, 13), (0, 5), (20, 26)):

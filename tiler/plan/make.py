@@ -66,7 +66,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     filled = [s for s in sources if s.points and s.bounds is not None]
     notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
     if not filled:
-        raise InputError(f"{_names(sources)}: hold no point; nothing to make a terrain of")
+        raise InputError(f"{_names(sources)}: no points; there is nothing to make a terrain of")
     area = area_of(config, agreement.wkt, notes)
     metres = float(agreement.units.horizontal)
     extent, covered = sizes.extent_of(filled, metres)
