@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import Cells
-from ptd.kernel import kernel, wide
+from ptd.kernel import inlined, kernel, wide
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -182,26 +182,33 @@ class CellIndex:
 
 
 @kernel
+def find_slot(slots: Int32, keys: Int64, width: int, height: int, column: int, row: int) -> int:
+    """`slot_of` for inner loops, from a table that was unpacked before them."""
+    if column < 0 or row < 0 or column >= width or row >= height:
+        return -1
+    key = row * width + column
+    if slots.size > 0:
+        return int(slots[key])
+    k = np.searchsorted(keys, key)
+    return int(k) if k < keys.size and keys[k] == key else -1
+
+
+@inlined
 def slot_of(table: CellTable, column: int, row: int) -> int:
     """Index of a cell among the table's occupied ones, -1 if it is empty or beyond."""
-    if column < 0 or row < 0 or column >= table.width or row >= table.height:
-        return -1
-    key = row * table.width + column
-    if table.slots.size > 0:
-        return int(table.slots[key])
-    k = np.searchsorted(table.keys, key)
-    return int(k) if k < table.keys.size and table.keys[k] == key else -1
+    return find_slot(table.slots, table.keys, table.width, table.height, column, row)
 
 
 @kernel
 def _find(
     x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, table: CellTable
 ) -> Int32:
+    slots, keys, _starts, _order, width, height = table
     out = np.empty(x.size, np.int32)
     for i in range(x.size):
         column = ((wide(x[i]) + ox) * q) // p - col0
         row = ((wide(y[i]) + oy) * q) // p - row0
-        out[i] = slot_of(table, column, row)
+        out[i] = find_slot(slots, keys, width, height, column, row)
     return out
 
 

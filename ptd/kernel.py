@@ -19,7 +19,7 @@ import numba
 import numpy as np
 from numba.core import config as numba_config
 
-__all__ = ["cache_folder", "kernel", "wide"]
+__all__ = ["cache_folder", "inlined", "kernel", "wide"]
 
 config: Any = numba_config  # its variables are made at run time
 
@@ -77,6 +77,14 @@ def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _R
     finally:
         config.CACHE_DIR = before  # other packages keep their own place
     return cast(Callable[_Parameters, _Result], compiled)
+
+
+def inlined(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
+    """As `kernel`, put in the place of each call: for short kernels that take tables of arrays in inner loops.
+
+    A call counts references to each array of a table, which there costs more than the work.
+    """
+    return cast(Callable[_Parameters, _Result], numba.njit(nogil=True, inline="always")(function))
 
 
 @kernel

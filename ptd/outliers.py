@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, Int32, Int64, slot_of
+from ptd.cells import CellIndex, CellTable, Int32, Int64, find_slot
 from ptd.frame import Cells, Scale
 from ptd.kernel import kernel
 
@@ -34,6 +34,7 @@ def _outliers(
 
     ``both``: what lies far below a point is as far from it as what lies far above; else it counts as near.
     """
+    slots, keys, starts, order, width, height = table
     out = np.zeros(x.size, np.bool_)
     limit2 = radius * radius
     for i in range(x.size):
@@ -44,11 +45,11 @@ def _outliers(
                 edge_row = abs(row - point_rows[i]) == ring
                 step = 1 if edge_row or ring == 0 else 2 * ring
                 for column in range(point_columns[i] - ring, point_columns[i] + ring + 1, step):
-                    slot = slot_of(table, column, row)
+                    slot = find_slot(slots, keys, width, height, column, row)
                     if slot < 0:
                         continue
-                    for k in range(table.starts[slot], table.starts[slot + 1]):
-                        j = table.order[k]
+                    for k in range(starts[slot], starts[slot + 1]):
+                        j = order[k]
                         dx, dy = float(x[j] - x[i]), float(y[j] - y[i])
                         if dx * dx + dy * dy > limit2:
                             continue

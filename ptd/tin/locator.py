@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import inlined, kernel, wide
 from ptd.tin.layout import N_VERTICES, Int32Array
 from ptd.tin.mesh import Tin
 
@@ -64,7 +64,7 @@ class Locator(NamedTuple):
         return cls(grid, west, south, cell, width, height)
 
 
-@kernel
+@inlined
 def start_near(locator: Locator, x: int, y: int) -> int:
     """A triangle near (x, y), from which `ptd.tin.location.locate` walks."""
     column = min(max((x - locator.west) // locator.cell, 0), locator.width - 1)
