@@ -76,7 +76,7 @@ def read_whole(path: Path, salvage: bool) -> Reading:
             for start, count in pieces(info):
                 records = reader.read(start, count)
                 digest.update(records.tobytes())
-                local, keep, dropped, _ = place(records, header, CoordFrame(), None)
+                local, keep, dropped, _ = place(records, header, CoordFrame())
                 assert int(keep.sum()) + sum(dropped.values()) == len(records) == count
                 columns(records, header, local, 0, start, True)
                 points, placed = points + count, placed + int(keep.sum())
