@@ -157,7 +157,10 @@ def _bits(data: bytes, rng: random.Random) -> Mutant:
 def _cut(data: bytes, rng: random.Random) -> Mutant:
     """Cut short, or with something behind."""
     if rng.random() < 0.2:
-        return Mutant("longer", data + rng.randbytes(rng.choice((1, 8, 1000))), True)
+        # Behind a header of 0 points it looks like a file that was never finished, and is refused as such.
+        position, form = FIELDS["count" if data[25] >= 4 else "legacy count"]
+        (points,) = struct.unpack_from("<" + form, data, position)
+        return Mutant("longer", data + rng.randbytes(rng.choice((1, 8, 1000))), points > 0)
     size = rng.choice((rng.randrange(len(data)), rng.randrange(min(len(data), 700)), len(data) - 1))
     return Mutant(f"cut to {size}", data[:size])
 
