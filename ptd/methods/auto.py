@@ -4,7 +4,8 @@ A method of our own, the default: one setting for all clouds, what has to differ
 the lowest point of each cell of 1 m. Figures, why there are passes and how far each sees: ``ptd/DESIGN.md``.
 
 survey
-    density, noise, returns: laser scanning or image matching (`ptd.methods.auto_settings`).
+    density, noise, returns, and what is seen through (`ptd.penetration`): laser scanning or image matching
+    (`ptd.methods.auto_settings`).
 seeds
     low outliers out; what drops steeply in openings of growing radius (`ptd.objects`) is an object; all else is a seed.
 densify
@@ -75,13 +76,13 @@ from typing import Any
 
 import numpy as np
 
-from ptd import roughness
+from ptd import penetration, roughness
 from ptd.cell_codes import CellCodes, lowest_points
 from ptd.certify import Doubt
 from ptd.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.frame import Cells, Scale, Window
 from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
-from ptd.methods.auto_settings import RING_M, AutoParameters, decided, settings
+from ptd.methods.auto_settings import RING_M, AutoParameters, Seen, decided, settings
 from ptd.morphology import Bool, CellRaster
 from ptd.objects import PIT_REACH, Lowest, blocks
 from ptd.outliers import low_outliers
@@ -121,24 +122,26 @@ class SurveyPass(Pass):
     columns: tuple[str, ...] = ("returns",)
     every_point: bool = True
     gives_labels: bool = False
-    reach_m: float | None = roughness.REACH_M
+    reach_m: float | None = max(roughness.REACH_M, penetration.REACH_M)
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         """Count."""
-        counts = {"told": 0, "several": 0}
+        counts = {"told": 0, "several": 0, "looks": 0, "through": 0}
+        if state["run"]["rgb"]:  # without colours it is no image matching
+            counts |= penetration.seen_through(points.xyz, core, scale)
         if points.returns is not None:
             x, y = points.xyz[:2]
             own = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
             of = points.returns[1, own]
-            counts = {"told": int((of > 0).sum()), "several": int((of > 1).sum())}
+            counts |= {"told": int((of > 0).sum()), "several": int((of > 1).sum())}
         found = roughness.measure(points.xyz, window, core, scale) | counts
         return Measured(found, {"points": found["points"]})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """``survey``: see `ptd.methods.auto_settings.decided`."""
         parts = list(partials)
-        told, several = sum(p["told"] for p in parts), sum(p["several"] for p in parts)
-        survey, notes = decided(self.params, roughness.merge(parts), told, several, state["run"])
+        seen = Seen(*(sum(p[name] for p in parts) for name in Seen._fields))
+        survey, notes = decided(self.params, roughness.merge(parts), seen, state["run"])
         return {**state, "survey": survey, "notes": [*state.get("notes", []), *notes]}
 
 

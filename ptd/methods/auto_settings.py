@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from ptd.criteria import Limits
 from ptd.frame import Scale
@@ -26,6 +26,9 @@ ROUND_HALO_M = 8.0
 LIDAR, DIM = "lidar", "dim"
 SEVERAL_SHARE = 0.001
 """Share of points that are one of several returns from which on the cloud is a laser scan."""
+SEEN_THROUGH_SHARE = 0.01
+"""Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be:
+0.001 (open mountains) to 0.23 in laser scans, 0 to 0.004 in matched ones."""
 DIM_GROUP, DIM_DEPTH = 6, 0.5
 """Blunders of image matching come in larger groups than a laser's low points, and nearer to the ground."""
 DIM_FLOOR_M = 0.2
@@ -267,6 +270,23 @@ class AutoParameters:
         return self.thin_cell_m
 
 
+class Seen(NamedTuple):
+    """Counts of a run.
+
+    Attributes
+    ----------
+    told, several : int
+        Points of which the number of returns is known; those that are one of several.
+    looks, through : int
+        Cells with points; those that are seen through (`ptd.penetration`).
+    """
+
+    told: int
+    several: int
+    looks: int
+    through: int
+
+
 @dataclass(frozen=True)
 class Settings:
     """What the parameters come to in a run."""
@@ -296,7 +316,7 @@ def settings(params: AutoParameters, survey: Mapping[str, Any]) -> Settings:
 
 
 def decided(
-    params: AutoParameters, found: Roughness, told: int, several: int, run: Mapping[str, Any]
+    params: AutoParameters, found: Roughness, seen: Seen, run: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[str]]:
     """What the run is, and lines that say so.
 
@@ -305,21 +325,22 @@ def decided(
     params : AutoParameters
     found : Roughness
         Density and noise.
-    told, several : int
-        Points of which the number of returns is known; those that are one of several.
+    seen : Seen
     run : mapping
         `ptd.passes.RunFacts`.
 
     Returns
     -------
     survey : dict
-        ``kind`` (`LIDAR`, `DIM`: image matching, which is coloured and has single returns alone), ``density_m2``,
-        ``sigma_m`` (None: not known), ``label_sigma_m`` (what of it the last pass allows for), ``several`` (share of
-        points).
+        ``kind`` (`LIDAR`, `DIM`: image matching, which is coloured, has single returns alone and does not see through
+        plants), ``density_m2``, ``sigma_m`` (None: not known), ``label_sigma_m`` (what of it the last pass allows
+        for), ``several`` (share of points).
     notes : list of str
     """
-    share = several / told if told else 0.0
-    kind = DIM if run["rgb"] and told and share < SEVERAL_SHARE else LIDAR
+    share = seen.several / seen.told if seen.told else 0.0
+    through = seen.through / seen.looks if seen.looks else 0.0
+    single = bool(run["rgb"] and seen.told and share < SEVERAL_SHARE)
+    kind = DIM if single and through < SEEN_THROUGH_SHARE else LIDAR
     sigma = found.sigma_m if run["sigma_m"] is None else run["sigma_m"]
     label_sigma = sigma
     if kind == LIDAR and run["sigma_m"] is None:
@@ -329,13 +350,13 @@ def decided(
         "several": share,
     }  # fmt: skip
     if kind == DIM:
-        why = "the points have colours and none is one of several returns"
+        why = "the points have colours, none is one of several returns, and no plants are seen through"
+    elif single:
+        why = f"pulses passed through plants in {100 * through:.2g} % of the area, though each point is a single return"
+    elif seen.several:
+        why = f"{100 * share:.0f} % of the points are one of several returns"
     else:
-        why = (
-            f"{100 * share:.0f} % of the points are one of several returns"
-            if several
-            else "nothing speaks against"
-        )
+        why = "nothing speaks against"
     noise = "noise not measurable" if sigma is None else f"noise {sigma:.3g} m"
     notes = [
         f"decided: {'image matching' if kind == DIM else 'laser scanning'} ({why}); "

@@ -14,7 +14,7 @@ import ptd
 from ptd import objects
 from ptd.frame import Window
 from ptd.methods.auto import DENSIFIED, OBJECT, SEED, Auto, refined
-from ptd.methods.auto_settings import decided, settings
+from ptd.methods.auto_settings import Seen, decided, settings
 from ptd.passes import Points
 from ptd.roughness import Roughness
 
@@ -101,22 +101,29 @@ def test_a_climbed_roof_is_given_back_but_no_seed() -> None:
     assert np.array_equal(stays, codes == SEED)
 
 
-def test_image_matching_is_told_by_colours_and_single_returns() -> None:
+def test_image_matching_is_told_by_colours_single_returns_and_what_is_not_seen_through() -> None:
     found = Roughness(8.0, 0.066, 50)
     run = {"rgb": True, "sigma_m": None}
-    survey, notes = decided(Auto(), found, 1000, 0, run)
+    survey, notes = decided(Auto(), found, Seen(1000, 0, 500, 4), run)
     assert (survey["kind"], survey["sigma_m"], survey["density_m2"]) == ("dim", 0.066, 8.0)
     assert notes == [
-        "decided: image matching (the points have colours and none is one of several returns); "
-        "8 points/m2, noise 0.066 m",
+        "decided: image matching (the points have colours, none is one of several returns, and no plants are "
+        "seen through); 8 points/m2, noise 0.066 m",
         "decided: ground is up to 0.25 m + 0.5 m x slope from the surface",
     ]
     chosen = settings(Auto(), survey)
     assert (chosen.low_group, chosen.low_depth_m, chosen.pit_depth_m) == (30, 2.0, 0.5)
-    for told, several, rgb in ((1000, 10, True), (0, 0, True), (1000, 0, False)):
-        other, _ = decided(Auto(), found, told, several, {"rgb": rgb, "sigma_m": 0.02})
+    for told, several, through, rgb in (
+        (1000, 10, 0, True),
+        (0, 0, 0, True),
+        (1000, 0, 0, False),
+        (1000, 0, 5, True),
+    ):
+        other, _ = decided(Auto(), found, Seen(told, several, 500, through), {"rgb": rgb, "sigma_m": 0.02})
         assert (other["kind"], other["sigma_m"]) == ("lidar", 0.02)
         assert settings(Auto(), other).pit_depth_m is None
+    _, notes = decided(Auto(), found, Seen(1000, 0, 500, 5), run)
+    assert notes[0].startswith("decided: laser scanning (pulses passed through plants in 1 % of the area")
 
 
 @pytest.mark.parametrize(
@@ -142,10 +149,12 @@ def test_the_last_pass_is_narrower_where_points_are_dense(
 
 def test_what_a_laser_measures_beyond_its_noise_is_plants() -> None:
     for sigma, taken in ((0.02, 0.02), (0.09, 0.03), (None, 0.03)):
-        survey, notes = decided(Auto(), Roughness(8.0, sigma, 50), 9, 9, {"rgb": False, "sigma_m": None})
+        survey, notes = decided(
+            Auto(), Roughness(8.0, sigma, 50), Seen(9, 9, 9, 0), {"rgb": False, "sigma_m": None}
+        )
         assert (survey["sigma_m"], survey["label_sigma_m"]) == (sigma, taken)
         assert any("0.03 m is taken for a laser's noise" in note for note in notes) == (sigma != taken)
-    survey, _ = decided(Auto(), Roughness(8.0, 0.02, 50), 9, 9, {"rgb": False, "sigma_m": 0.1})
+    survey, _ = decided(Auto(), Roughness(8.0, 0.02, 50), Seen(9, 9, 9, 0), {"rgb": False, "sigma_m": 0.1})
     assert survey["label_sigma_m"] == 0.1
 
 
