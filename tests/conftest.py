@@ -7,6 +7,15 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+TESTS = Path(__file__).resolve().parent
+COMPILE_FIRST = "ptd/test_warm.py"
+COMPILE_NOTHING = tuple(
+    f"{folder}/"
+    for folder in (
+        "cli", "tiler/check", "tiler/core", "tiler/export", "tiler/ingest", "tiler/las", "tiler/observe",
+        "tiler/presets", "tiler/report", "tiler/schedule", "tiler/store", "tiler/vector",
+    )
+)  # fmt: skip
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 # The same examples on every run, however slow the machine: what fails in CI fails at home.
@@ -22,3 +31,13 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("no real clouds: ../shared/data is absent")
     return SHARED_DATA
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Kernels compile in one of the processes, while another does what needs none; all others find them compiled."""
+
+    def turn(item: pytest.Item) -> int:
+        path = item.path.relative_to(TESTS).as_posix()
+        return 0 if path == COMPILE_FIRST else 1 if path.startswith(COMPILE_NOTHING) else 2
+
+    items.sort(key=turn)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import reduce
+from functools import cache, reduce
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,12 @@ class RunResult:
     exit_code: int
     summary: dict[str, Any]
     did_nothing: bool
+
+
+@cache
+def _libraries() -> dict[str, str]:
+    """Their versions; read once, as each is a file."""
+    return {name: version(name) for name in LIBRARIES}
 
 
 @dataclass
@@ -212,7 +218,7 @@ class Job:
         """Write run.json and return its content."""
         content = {
             "state": state, "version": __version__, "configuration": self.plan.config.to_json(),
-            "plan": plan_json(self.plan), "libraries": {name: version(name) for name in LIBRARIES},
+            "plan": plan_json(self.plan), "libraries": _libraries(),
             "written": datetime.now(UTC).isoformat(timespec="seconds"), "notes": self.notes,
             "tiles": {s: [{"key": k, **t} for k, t in ts.items()] for s, ts in self.tiles.items()},
             "stages": self.stages, "quarantined": self.quarantined, "failed_tasks": self.failed,

@@ -135,7 +135,7 @@ def test_a_file_left_out_later_is_gone_from_the_terrain(demo: DemoScene, out: Pa
 
 
 def test_a_changed_file_is_read_again(demo: DemoScene, tmp_path: Path) -> None:
-    paths = [Path(shutil.copy(p, tmp_path / p.name)) for p in demo.paths]
+    paths = [Path(shutil.copy(p, tmp_path / p.name)) for p in demo.paths[:2]]
     do(paths, tmp_path / "out")
     shutil.copy(demo.truth_paths[0], paths[0])
     result = do(paths, tmp_path / "out")
@@ -248,7 +248,7 @@ def test_a_tile_that_fails_stops_a_strict_run(
 
     monkeypatch.setattr("tiler.tasks.filter_tile", work)
     with pytest.raises(ProcessingError, match="ZeroDivisionError: no tile succeeds .*--on-error skip"):
-        do(list(demo.paths), tmp_path / "out", on_error="stop")
+        do(list(demo.paths[:1]), tmp_path / "out", on_error="stop")
     with pytest.raises(ProcessingError, match=r"^no tile could be filtered; the first: ZeroDivisionError"):
-        do(list(demo.paths), tmp_path / "out")
+        do(list(demo.paths[:1]), tmp_path / "out")
     assert '"state": "interrupted"' in (tmp_path / "out" / "run.json").read_text()

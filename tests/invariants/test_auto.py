@@ -12,7 +12,9 @@ from tests.invariants.clouds import CORNER, SHAPES, Cloud
 from tests.invariants.runs import classes_by_point, do, stored_labels
 
 
-@pytest.mark.parametrize("shape", ["full", "islands", pytest.param("river", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "shape", ["islands", *(pytest.param(shape, marks=pytest.mark.slow) for shape in ("full", "river"))]
+)
 def test_nothing_of_a_run_shows(
     shape: str, city: Cloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,20 +51,22 @@ class OnCluster(DaskExecutor):
 
 
 EXECUTORS: dict[str, Callable[[], Executor]] = {
-    "one worker": lambda: DaskExecutor(1),
     "two workers": lambda: DaskExecutor(2),
     "a cluster of two": OnCluster,
     "another order": lambda: Shuffled(1),
-    "one more order": lambda: Shuffled(2),
     "twice": Twice,
+}
+SLOW: dict[str, Callable[[], Executor]] = {
+    "one worker": lambda: DaskExecutor(1),
+    "one more order": lambda: Shuffled(2),
 }
 
 
-@pytest.mark.parametrize("name", EXECUTORS)
+@pytest.mark.parametrize("name", [*EXECUTORS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
 def test_every_executor_gives_the_same_bytes(
     name: str, quarter_files: list[Path], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.crew.make_executor", lambda *_: EXECUTORS[name]())
+    monkeypatch.setattr("tiler.crew.make_executor", lambda *_: (EXECUTORS | SLOW)[name]())
     result = do(quarter_files, tmp_path / "out")
     assert result.exit_code == 0
     assert output_digests(tmp_path / "out") == output_digests(finished)

@@ -15,7 +15,9 @@ ALL_CELLS_M = 640
 """A multiple of pixels, fine cells, thinning cells (1), seed cells (20), buckets (32), tiles (64)."""
 
 
-@pytest.mark.parametrize("offset", [(0, 0), (1, -1), (123_457, 987_643), (-777_777_777, 999_999_937)])
+@pytest.mark.parametrize(
+    "offset", [pytest.param((1, -1), marks=pytest.mark.slow), (123_457, 987_643), (-777_777_777, 999_999_937)]
+)
 def test_the_frame_offset_is_in_no_result(
     offset: tuple[int, int],
     quarter_files: list[Path],
@@ -31,7 +33,9 @@ def test_the_frame_offset_is_in_no_result(
     assert output_digests(tmp_path / "out") == output_digests(finished)
 
 
-@pytest.mark.parametrize("cells", [(1, 0), (-3, 7), (-1562, -16875)])
+@pytest.mark.parametrize(
+    "cells", [(-1562, -16875), *(pytest.param(cells, marks=pytest.mark.slow) for cells in ((1, 0), (-3, 7)))]
+)
 def test_a_shift_by_whole_cells_only_moves_the_result(
     cells: tuple[int, int], city: Cloud, city_file: Path, tmp_path: Path
 ) -> None:

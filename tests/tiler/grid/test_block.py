@@ -85,8 +85,19 @@ def test_a_tilted_plane_is_exact_at_pixel_centres(make_scene, units, shift, size
     assert sum(r["filled"] for r in records) == int(valid.sum())
 
 
-@pytest.mark.parametrize("shape", [lambda p: p, void, l_shape, islands], ids=["full", "void", "l", "islands"])
-@pytest.mark.parametrize("max_edge", [12_000, 50_000])
+@pytest.mark.parametrize(
+    ("shape", "max_edge"),
+    [
+        pytest.param(void, 50_000, id="void"),
+        pytest.param(islands, 50_000, id="islands"),
+        pytest.param(l_shape, 12_000, id="l, short"),
+        pytest.param(lambda p: p, 50_000, id="full", marks=pytest.mark.slow),
+        pytest.param(l_shape, 50_000, id="l", marks=pytest.mark.slow),
+        pytest.param(lambda p: p, 12_000, id="full, short", marks=pytest.mark.slow),
+        pytest.param(void, 12_000, id="void, short", marks=pytest.mark.slow),
+        pytest.param(islands, 12_000, id="islands, short", marks=pytest.mark.slow),
+    ],
+)
 def test_blocks_do_not_show(make_scene, shape, max_edge):
     scene = make_scene(shape(scattered(4_500, 140_000)))
     whole, (record,) = scene.grid(METRE, max_edge=max_edge)
@@ -246,6 +257,7 @@ def test_stumps_beside_objects_are_not_gridded(make_scene):
     assert tiled.tobytes() == clean.tobytes()
 
 
+@pytest.mark.slow
 def test_a_wider_window_that_is_too_full_is_left_to_quarters(make_scene):
     scene = make_scene(scattered(3_000, 200_000), bucket=20_000)
     whole, (plain,) = scene.grid(METRE, max_edge=40_000, halo=1_000)
