@@ -3,6 +3,12 @@
 A roof of any shape ends on all sides in a fall, where terrain goes on somewhere: a hill by its foot, a terrace by its
 ends, a ramp. So a roof is a whole connected surface, or nothing of it is: no opening cuts it in two. A surface wider
 than a limit is terrain, whatever lies beyond; so nothing farther than a fixed reach has a part in the answer.
+
+Lower roofs lean on higher ones: beside a hall they see what does not fall. So it is done again without the roofs found
+before, over which looks go on; and what begins beside such a roof is no terrain however small it is.
+
+Where the border of the data cuts a surface, it may go on: a narrower limit holds, and what reaches opposite borders is
+terrain, as an embankment across a corridor is.
 """
 
 from __future__ import annotations
@@ -21,7 +27,17 @@ _EAST = (1, 0, -1, 0, 1, -1, -1, 1)
 _NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
 """Steps to the eight neighbours of a cell."""
 
-_AREA, _FALLS, _OTHERS, _UNSEEN = range(4)
+_AREA, _FALLS, _OTHERS, _PAST, _JOINED, _UNSEEN, _BORDER = range(7)
+"""What is counted of each surface; from the last on, looks along each of the eight ways that leave the data."""
+
+BESIDE = 2
+"""So many cells from a roof that was found before, or fewer, lies what leans on it."""
+LEANING = 0.2
+"""Share of the looks around that begin beside such a roof from which on a surface of any size leans on it."""
+CUT = 0.02
+"""Share of the looks around that leave the data from which on a surface is cut by their border."""
+THROUGH = 3
+"""Looks that leave the data on one side, and as many on the opposite one: terrain that goes through a narrow survey."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +58,10 @@ class Plateaus:
     share : float
         Of what is seen around, so much at least lies below.
     unseen : float
-        Of the looks around, so many at most meet or say nothing: walls of courtyards, trees, the border of the data.
-    area, widest : int
-        At least so many cells; at most so many columns and rows.
+        Of the looks around, so many at most meet or say nothing: walls of courtyards, trees, the border of the data;
+        those that begin beside a roof found before are not among them.
+    area, widest, widest_cut : int
+        At least so many cells; at most so many columns and rows; and of what the border of the data cuts.
     """
 
     step: float
@@ -56,6 +73,7 @@ class Plateaus:
     unseen: float
     area: int
     widest: int
+    widest_cut: int
 
     @property
     def reach(self) -> int:
@@ -67,7 +85,7 @@ class Plateaus:
         return self.widest + max(self.gap, self.view) + 1
 
 
-def on_plateaus(z: Int32, ground: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
+def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
     """Which points of ground lie on surfaces above their surroundings: bool [n].
 
     That is all in cells of such surfaces; and in the cells at their edges, whose lowest point lies beside the roof,
@@ -77,20 +95,25 @@ def on_plateaus(z: Int32, ground: Bool, raster: CellRaster, rule: Plateaus) -> B
     ----------
     z : int32 [n]
         Counts.
-    ground : bool [n]
+    ground, before : bool [n]
+        Which are ground; which were found on roofs before, and are no ground any more.
     raster : CellRaster
         Of the points.
     rule : Plateaus
     """
     heights = raster.lowest(z, ground)
-    roof = plateaus(heights, rule)
+    removed = np.zeros(heights.size, np.bool_)
+    removed[raster.keys[before]] = True
+    data = np.zeros(heights.size, np.bool_)
+    data[raster.keys] = True
+    roof = plateaus(heights, rule, removed.reshape(heights.shape), data.reshape(heights.shape))
     beside = maximum_filter(roof, size=3, mode="constant", cval=False)
     higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.fall
     found: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
     return found
 
 
-def plateaus(heights: Int32, rule: Plateaus) -> Bool:
+def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: Bool | None = None) -> Bool:
     """Which cells of a raster belong to surfaces that lie above their surroundings: bool, of its shape.
 
     Parameters
@@ -98,16 +121,28 @@ def plateaus(heights: Int32, rule: Plateaus) -> Bool:
     heights : int32 [rows, columns]
         Of ground, counts; `EMPTY` where there is none.
     rule : Plateaus
+    removed : bool [rows, columns], optional
+        Cells of roofs found before; none if left out.
+    data : bool [rows, columns], optional
+        Cells with any point; those of ground if left out.
     """
+    removed = np.zeros(heights.shape, np.bool_) if removed is None else removed
+    data = heights != EMPTY if data is None else data
     surface, n = _surfaces(heights, rule.step, rule.gap)
-    looks, box = _looks(heights, surface, n, rule.view, rule.fall, rule.slope)
-    seen, all_looks = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, 1:].sum(axis=1)
+    looks, box = _looks(heights, surface, removed, data, n, rule.view, rule.fall, rule.slope)
+    seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
+    unseen = looks[:, _UNSEEN] + border.sum(axis=1)
+    every = seen + unseen + looks[:, _PAST]
+    above = (seen > 0) & (looks[:, _FALLS] >= rule.share * seen) & (unseen <= rule.unseen * every)
+    large = looks[:, _AREA] >= rule.area
+    leans = looks[:, _JOINED] >= np.maximum(LEANING * every, 1)
     wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
-    above = (
-        (seen > 0) & (looks[:, _FALLS] >= rule.share * seen) & (looks[:, _UNSEEN] <= rule.unseen * all_looks)
-    )
-    roof = above & (looks[:, _AREA] >= rule.area) & (wide <= rule.widest)
-    found: Bool = np.append(roof, False)[surface]  # -1: no surface
+    cut = border.sum(axis=1) > CUT * every
+    ends = wide <= np.where(cut, rule.widest_cut, rule.widest)
+    through = (np.minimum(border[:, :2], border[:, 2:4]) >= THROUGH).any(
+        axis=1
+    )  # east and west, north and south
+    found: Bool = np.append(above & (large | leans) & ends & ~through, False)[surface]  # -1: no surface
     return found
 
 
@@ -151,11 +186,11 @@ def _surfaces(heights: Int32, step: float, gap: int) -> tuple[Int32, int]:
 
 @kernel
 def _looks(
-    heights: Int32, surface: Int32, n: int, view: int, fall: float, slope: float
+    heights: Int32, surface: Int32, removed: Bool, data: Bool, n: int, view: int, fall: float, slope: float
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
-    """Of each surface: cells, looks that meet what lies below, other ground, nothing; and rows and columns it spans."""
+    """Of each surface: counts `_AREA` (cells) to `_JOINED` (looks that begin beside a removed roof), and its box."""
     rows, columns = heights.shape
-    looks, box = np.zeros((n, 4), np.int64), np.zeros((n, 4), np.int64)
+    looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):
         for column in range(columns):
             own = surface[row, column]
@@ -167,7 +202,7 @@ def _looks(
             box[own, 0], box[own, 1] = min(box[own, 0], row), max(box[own, 1], row)
             box[own, 2], box[own, 3] = min(box[own, 2], column), max(box[own, 3], column)
             for way in range(8):
-                met = _UNSEEN
+                met, joined = _BORDER + way, False
                 for steps in range(1, view + 1):
                     r, c = row + steps * _NORTH[way], column + steps * _EAST[way]
                     if r < 0 or c < 0 or r >= rows or c >= columns:
@@ -175,6 +210,9 @@ def _looks(
                     if surface[r, c] == own:
                         met = _AREA
                         break
+                    if met >= _BORDER and data[r, c]:
+                        met = _UNSEEN
+                    joined |= steps <= BESIDE and removed[r, c]
                     if surface[r, c] >= 0:
                         lower = np.int64(heights[row, column]) - np.int64(heights[r, c])
                         if lower > fall + slope * steps:
@@ -183,5 +221,7 @@ def _looks(
                             met = _OTHERS
                         break
                 if met != _AREA:
-                    looks[own, met] += 1
+                    # What hides the ground here is known: a roof.
+                    looks[own, _PAST if joined and met >= _UNSEEN else met] += 1
+                    looks[own, _JOINED] += joined
     return looks, box

@@ -14,8 +14,8 @@ refine
     densified cells that rise from the ground found are taken out again (roofs that were climbed), then all that rises
     from ground whose trend was taken off (walls, cars, shrubs on slopes), and what still does among what is left.
 roofs
-    ground that is connected, at most 120 m wide, and above nearly all ground that is seen around it is a roof
-    (`ptd.plateaus`).
+    ground that is connected, at most 200 m wide, and above nearly all ground that is seen around it is a roof
+    (`ptd.plateaus`); three times, as lower roofs lean on higher ones.
 label
     each point against the TIN of the ground that is left, by its height.
 
@@ -49,9 +49,10 @@ bump_trend, _size,    ours                        15, 12 m, once more, among the
 _drop, _rise, _slope,                             0.1 m,    holds what was taken out: lower, and more wary of slopes
 _lack, _share                                     0.1, 0.4,
                                                   1, 0.1
-roof_size, _cell,     ours                        120 m,    the largest halls but for those of industry; cells of 2 m
+roof_size, _cell,     ours                        200 m,    the largest halls but for those of industry; cells of 2 m
 _step, _gap                                       2, 1, 8 m bridge the gaps of sparse clouds, 1 m of step allows roofs
                                                             of 27 degrees; parts of a roof lie among higher ones
+roof_rounds           ours                        3         a hall, what leans on it, and what leans on that
 roof_view, _fall,     ours                        24 m,     past what stands around a roof; what is seen far away lies
 _slope                                            1.5 m,    lower on any hill: 0.2 m more for each metre, else it
                                                   0.2       says nothing
@@ -91,7 +92,7 @@ from ptd.plateaus import on_plateaus
 from ptd.seeds import RING, box_with_ring, choose_seeds
 from ptd.tin.mesh import Tin
 
-OBJECT, OUTLIER, SEED, DENSIFIED = UNCLASSIFIED, LOW_NOISE, 3, 4
+OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
 """Codes of cells between passes; `GROUND` is what `refine` leaves."""
 
 
@@ -108,7 +109,10 @@ class Auto(AutoParameters):
             SeedPass(self, reach_m=(self.seed_reach + 1) * cell),
             DensifyPass(self),
             RefinePass(self, reach_m=(self.refine_reach + 1) * cell),
-            RoofPass(self, reach_m=(self.roof_reach + 1) * cell),
+            *(
+                RoofPass(self, f"roofs{n}" if n > 1 else "roofs", reach_m=(self.roof_reach + 1) * cell)
+                for n in range(1, self.roof_rounds + 1)
+            ),
             LabelPass(self),
         )
 
@@ -248,11 +252,14 @@ class RoofPass(Pass):
         p = self.params
         cells, wide, rule = Cells.of(p.thin_cell_m, scale), Cells.of(p.roof_cell_m, scale), p.plateaus(scale)
         x, y, z, codes = lowest_points(points, cells)
-        ground = codes == GROUND
+        ground, before = codes == GROUND, codes == ROOF
+        again = self.name != "roofs"
         for index, inner in blocks(x, y, cells, p.roof_reach):
+            if again and not before[index].any():
+                continue  # nothing has changed since
             raster = CellRaster(x[index], y[index], wide)
-            roofs = on_plateaus(z[index], ground[index], raster, rule)
-            codes[index[roofs & inner]] = OBJECT
+            roofs = on_plateaus(z[index], ground[index], before[index], raster, rule)
+            codes[index[roofs & inner]] = ROOF
         stats = {"cells": int(x.size), "roofs": int(ground.sum() - (codes == GROUND).sum())}
         certain = window.inside(cells, p.roof_reach)
         return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)

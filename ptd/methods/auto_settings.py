@@ -26,6 +26,8 @@ ROUND_HALO_M = 8.0
 LIDAR, DIM = "lidar", "dim"
 SEVERAL_SHARE = 0.001
 """Share of points that are one of several returns from which on the cloud is a laser scan."""
+CUT_SIZE = 0.6
+"""Share of `AutoParameters.roof_size_m` for roofs that the border of the data cuts: a terrace may go on there."""
 SEEN_THROUGH_SHARE = 0.01
 """Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be:
 0.001 (open mountains) to 0.23 in laser scans, 0 to 0.004 in matched ones."""
@@ -137,8 +139,11 @@ class AutoParameters:
         0.1, "bumps of ground: share of objects around from which on nothing is lacking", minimum=0.01, maximum=1.0,
     )  # fmt: skip
     roof_size_m: float = parameter(
-        120.0, "roofs: the widest that is told from terrain by its edges all around", unit="m", minimum=2.0,
+        200.0, "roofs: the widest that is told from terrain by its edges all around", unit="m", minimum=2.0,
         maximum=1000.0,
+    )  # fmt: skip
+    roof_rounds: int = parameter(
+        3, "roofs: how often, as lower ones lean on higher ones", minimum=1, maximum=10,
     )  # fmt: skip
     roof_cell_m: float = parameter(
         2.0, "roofs: the lowest ground of a cell of this side is its height", unit="m", minimum=0.1, maximum=100.0,
@@ -242,6 +247,7 @@ class AutoParameters:
             fall=scale.counts_z(self.roof_fall_m), slope=scale.counts_z(self.roof_slope * self.roof_cell_m),
             share=self.roof_share, unseen=self.roof_unseen,
             area=max(round(self.roof_area_m2 / self.roof_cell_m**2), 1), widest=cells(self.roof_size_m),
+            widest_cut=cells(CUT_SIZE * self.roof_size_m),
         )  # fmt: skip
 
     @property

@@ -58,7 +58,16 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
     assert (found[truth == 2] == 2).mean() > 0.99
     assert found[:2].tolist() == [7, 7]
     assert result.stats["seeds"]["low_outliers"] == 1  # both in a cell
-    assert list(result.stats) == ["survey", "seeds", "densify", "refine", "roofs", "label"]
+    assert list(result.stats) == [
+        "survey",
+        "seeds",
+        "densify",
+        "refine",
+        "roofs",
+        "roofs2",
+        "roofs3",
+        "label",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -197,9 +206,10 @@ def test_the_decision_reaches_the_result() -> None:
 def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().seed_reach == 2 * 18 + 2 * 9 + 2 + 5
     assert Auto().refine_reach == 2 * 18 + 2 * 9 + 20 + 2 * 6 + 15 + 2 * 6
-    assert Auto().roof_reach == 2 * (60 + 12 + 1 + 1)
+    assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
     assert {step.name: step.reach_m for step in Auto().passes} == {
-        "survey": 24.0, "seeds": 62.0, "densify": None, "refine": 114.0, "roofs": 149.0, "label": None,
+        "survey": 24.0, "seeds": 62.0, "densify": None, "refine": 114.0, "roofs": 229.0, "roofs2": 229.0,
+        "roofs3": 229.0, "label": None,
     }  # fmt: skip
 
 

@@ -25,6 +25,9 @@ WIDEST_RELIEF_M = 9000
 WIDE_TILE = 2 + 2 * math.sqrt(2)
 """Halos in a tile that does twice the work."""
 
+MUCH_OVERLAP = 3.0
+"""Padded area over core area, mean of the passes, from which on it is told of."""
+
 
 def warnings_of(
     sources: Sequence[SourceInfo], units: Any, tile: Fraction, halos: Sequence[float]
@@ -48,7 +51,7 @@ def warnings_of(
                 f"{source.path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
             )
     work = [_overlap(z, float(units.horizontal), float(tile), halo) for halo in halos]
-    if work and sum(work) > 2 * len(work):
+    if work and sum(work) > MUCH_OVERLAP * len(work):
         found.append(
             f"tiles of {float(tile):g} m with up to {max(halos):g} m of halo do {sum(work) / len(work):.1f} times "
             f"the work; use --tile-size {math.ceil(WIDE_TILE * max(halos))} or more --memory"
