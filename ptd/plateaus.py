@@ -5,7 +5,8 @@ ends, a ramp. So a roof is a whole connected surface, or nothing of it is: no op
 than a limit is terrain, whatever lies beyond; so nothing farther than a fixed reach has a part in the answer.
 
 Lower roofs lean on higher ones: beside a hall they see what does not fall. So it is done again without the roofs found
-before, over which looks go on; and what begins beside such a roof is no terrain however small it is.
+before, over which looks go on; and what begins beside such a roof is no terrain however small it is, if most of what is
+seen around it lies below.
 
 Where the border of the data cuts a surface, it may go on: a narrower limit holds, and what reaches opposite borders is
 terrain, as an embankment across a corridor is.
@@ -34,6 +35,8 @@ BESIDE = 2
 """So many cells from a roof that was found before, or fewer, lies what leans on it."""
 LEANING = 0.2
 """Share of the looks around that begin beside such a roof from which on a surface of any size leans on it."""
+MOST = 0.5
+"""For what leans on a roof `Plateaus.share` is this: higher parts of the same building may be around it."""
 CUT = 0.02
 """Share of the looks around that leave the data from which on a surface is cut by their border."""
 THROUGH = 3
@@ -133,9 +136,10 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
     seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
     unseen = looks[:, _UNSEEN] + border.sum(axis=1)
     every = seen + unseen + looks[:, _PAST]
-    above = (seen > 0) & (looks[:, _FALLS] >= rule.share * seen) & (unseen <= rule.unseen * every)
-    large = looks[:, _AREA] >= rule.area
     leans = looks[:, _JOINED] >= np.maximum(LEANING * every, 1)
+    share = np.where(leans, MOST, rule.share)
+    above = (seen > 0) & (looks[:, _FALLS] >= share * seen) & (unseen <= rule.unseen * every)
+    large = looks[:, _AREA] >= rule.area
     wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
     cut = border.sum(axis=1) > CUT * every
     ends = wide <= np.where(cut, rule.widest_cut, rule.widest)

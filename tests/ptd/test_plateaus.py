@@ -198,7 +198,7 @@ def by_hand(heights: np.ndarray, rule: Plateaus, removed: np.ndarray, data: np.n
         limit = rule.widest_cut if leave.total() > 0.02 * len(looks) else rule.widest
         falls, seen, unseen = said["falls"], said["falls"] + said["other"], said["nothing"] - past
         wide = max(np.ptp([r for r, _ in surface]), np.ptp([c for _, c in surface])) + 1
-        if seen and falls >= rule.share * seen and unseen <= rule.unseen * len(looks):
+        if seen and falls >= (0.5 if leans else rule.share) * seen and unseen <= rule.unseen * len(looks):
             for cell in (
                 surface if (len(surface) >= rule.area or leans) and wide <= limit and not through else ()
             ):
