@@ -54,14 +54,16 @@ def roofs(heights: Float64, cell_m: float, least_m: float = 0.0) -> list[tuple[f
     list of (width, row, column)
         Diameter of the largest circle inside, metres, and the middle.
     """
-    if heights.size == 0:
-        return []
     known = ~np.isnan(heights)
+    if not known.any() or np.ptp(heights[known]) < EAVES_M:
+        return []
     floor = np.where(known, heights, np.inf)
     found = []
     for window_m in WINDOWS_M:
         side = int(window_m / cell_m) | 1
         raised = known & (np.where(known, heights, 0.0) - _opened(floor, side) >= EAVES_M)
+        if not raised.any():
+            continue
         numbers, _ = ndimage.label(ndimage.binary_opening(raised, np.ones((3, 3), np.bool_)))
         for number, box in enumerate(ndimage.find_objects(numbers), start=1):
             sides = [s.stop - s.start for s in box]

@@ -19,6 +19,22 @@ BUCKETS_M = (8, 16, 32, 64, 128)
 TILE_M = 512
 
 
+FAR_FROM_MEAN = 2.0
+"""From so many times the mean over the files' bounds on the density of the sample is right, however rough it is."""
+
+
+def density_of(points: int, covered_m2: float, crowd: Crowd, notes: list[str]) -> float:
+    """Points per m2: the mean over the bounds of the files, or where those are mostly void that of a sample."""
+    mean, sample = points / covered_m2, crowd.typical()
+    if sample <= FAR_FROM_MEAN * mean:
+        return mean
+    notes.append(
+        f"{sample:.2g} points/m2 in a sample, {mean:.2g} over the bounds of the files, which are mostly void: "
+        "sizes follow from the sample"
+    )
+    return sample
+
+
 def extent_of(sources: Sequence[SourceInfo], metres: float) -> tuple[Bounds, float]:
     """Union of the sources' bounds in absolute counts, and the area that they cover in m2 (overlaps count twice)."""
     area = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from tiler.ingest import Patch
 from tiler.ingest.patches import find_patches, local_density
 from tiler.plan.crowd import Crowd
+from tiler.plan.sizes import density_of
 
 Array = np.ndarray[Any, Any]
 
@@ -96,3 +98,25 @@ def test_a_long_line_has_few_cells() -> None:
     )  # of kilometres: 16 million cells of 64 m along it, next to no area
     crowd = Crowd([patch], 1000.0)
     assert 900 < crowd.fullest(1e9) < 1001
+
+
+@pytest.mark.parametrize("order", [in_tiles, in_lines])
+def test_voids_between_islands_are_no_part_of_the_density(order: Callable[..., Array]) -> None:
+    island = order(square(2.0, 300.0), 25.0) if order is in_tiles else order(square(2.0, 300.0))
+    cloud = np.concatenate([island, island + 50_000.0, [[90_000.0], [10.0]]], axis=1)
+    covered = float(np.prod(np.ptp(cloud, axis=1)))
+    notes: list[str] = []
+    assert 1.0 < density_of(cloud.shape[1], covered, crowd_of(cloud), notes) < 4.0
+    assert len(notes) == 1
+    assert "mostly void" in notes[0]
+
+
+@pytest.mark.parametrize("density", [0.3, 2.0, 30.0])
+@pytest.mark.parametrize("order", [lambda cloud: cloud, in_lines])
+def test_the_mean_counts_where_files_are_full(density: float, order: Callable[[Array], Array]) -> None:
+    cloud = order(square(density, 300.0))
+    notes: list[str] = []
+    found = density_of(cloud.shape[1], 90_000.0, crowd_of(cloud), notes)
+    assert found == cloud.shape[1] / 90_000.0
+    assert notes == []
+    assert Crowd([], 1.0).typical() == 0.0
