@@ -109,6 +109,7 @@ def test_a_store_of_another_crs_is_refused(out: Path, tmp_path: Path) -> None:
         do(other, out)
 
 
+@pytest.mark.slow
 def test_an_added_file_redoes_only_what_it_can_reach(tmp_path: Path) -> None:
     # A strip of more than a kilometre, of which the last piece comes later.
     hills = clouds.city(200.0, 0.5, kind="hills")
@@ -240,6 +241,7 @@ def test_a_tile_that_fails_leaves_no_old_labels(
     assert computed(mended)["filter0"] == 1
 
 
+@pytest.mark.slow
 def test_a_tile_that_fails_stops_a_strict_run(
     demo: DemoScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -126,6 +126,7 @@ def test_kill_of_the_command_alone_takes_its_workers_along(cloud: Path, tmp_path
     assert all_gone(group)
 
 
+@pytest.mark.slow  # tests/integration/test_failing_tiles.py kills workers by default
 def test_a_worker_that_dies_is_replaced(cloud: Path, undisturbed: dict[str, str], tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = start(cloud, out)

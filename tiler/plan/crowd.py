@@ -41,14 +41,6 @@ class Crowd:
         self._cells, self._held = _gathered(cells, weights)
         self._fullest: dict[float, float] = {}
 
-    def typical(self) -> float:
-        """Points per m2 where the median point lies; right within a factor of two. 0 without points."""
-        if not len(self._held):
-            return 0.0
-        order = np.argsort(self._held, kind="stable")
-        half = int(np.searchsorted(np.cumsum(self._held[order]), self._points / 2))
-        return float(self._held[order[min(half, len(order) - 1)]]) / self._cell**2
-
     def fullest(self, side_m: float) -> float:
         """About how many points the fullest square of that side holds."""
         if side_m not in self._fullest:  # a plan asks for few sides, and for each of them often

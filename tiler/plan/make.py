@@ -72,8 +72,8 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     extent, covered = sizes.extent_of(filled, metres)
     frame = CoordFrame(agreement.units, sizes.origin_of(extent), agreement.wkt)
     points = sum(s.points for s in filled)
-    crowd = Crowd((patch for s in filled for patch in s.patches), metres)
-    density = sizes.density_of(points, covered, crowd, notes)
+    patches = [patch for s in filled for patch in s.patches]
+    density, crowd = sizes.density_of(points, covered, patches, metres, notes), Crowd(patches, metres)
     memory = config.memory or min(1 << 30, psutil.virtual_memory().total // (4 * (psutil.cpu_count() or 1)))
     meta = StoreMeta(
         frame=frame, bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, crowd, memory)))),

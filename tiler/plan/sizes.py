@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 
+import numpy as np
+
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
-from tiler.ingest import SourceInfo
+from tiler.ingest import Patch, SourceInfo
 from tiler.plan.crowd import Crowd
 from tiler.plan.memory import ASSEMBLY_POINT_BYTES, BASE_BYTES, PlannedPass, filter_bytes
 from tiler.store import StoreMeta
@@ -22,10 +24,26 @@ TILE_M = 512
 FAR_FROM_MEAN = 2.0
 """From so many times the mean over the files' bounds on the density of the sample is right, however rough it is."""
 
+SMALLEST_M2 = 1.0
+"""Area of a patch at least, as of the bounds of a file."""
 
-def density_of(points: int, covered_m2: float, crowd: Crowd, notes: list[str]) -> float:
-    """Points per m2: the mean over the bounds of the files, or where those are mostly void that of a sample."""
-    mean, sample = points / covered_m2, crowd.typical()
+
+def density_of(
+    points: int, covered_m2: float, patches: Sequence[Patch], metres: float, notes: list[str]
+) -> float:
+    """Points per m2: the mean over the bounds of the files, or where those are mostly void that of the median patch.
+
+    Patches are of single files: that files lie on each other is no reason for more.
+    """
+    mean = points / covered_m2
+    if not patches:
+        return mean
+    areas = [max((p.x1 - p.x0) * (p.y1 - p.y0) * metres**2, SMALLEST_M2) for p in patches]
+    held = np.array([p.points for p in patches])
+    densities = held / areas
+    order = np.argsort(densities, kind="stable")
+    half = np.searchsorted(np.cumsum(held[order]), held.sum() / 2)
+    sample = float(densities[order[half]])
     if sample <= FAR_FROM_MEAN * mean:
         return mean
     notes.append(

@@ -121,7 +121,7 @@ def test_a_filter_does_not_see_the_classes(tmp_path: Path) -> None:
     scores = {}
     for name, classes in (("true", truth), ("lying", lying)):
         path = write_cloud(tmp_path / f"{name}.laz", xyz, classes)
-        scores[name] = filter_and_evaluate([path], RunConfig(workers=1), ignore=())
+        scores[name] = filter_and_evaluate([path], RunConfig(in_process=True), ignore=())
     assert scores["true"]["total"] < 0.01
     found = {name: sum(c["labelled_ground"] for c in s["classes"].values()) for name, s in scores.items()}
     assert found["true"] == found["lying"]
