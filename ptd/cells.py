@@ -41,7 +41,7 @@ def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
 
 
 @kernel
-def _lowest_dense(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> Int32:
+def lowest_by_key(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> Int32:
     """Lowest point of each cell, -1 where there is none: int32 [n_cells]."""
     lowest = np.full(n_cells, -1, np.int32)
     for i in range(keys.size):
@@ -53,7 +53,7 @@ def _lowest_dense(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> In
 
 @kernel
 def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> Int32:
-    """As `_lowest_dense`, without the empty cells, from an order that sorts the keys."""
+    """As `lowest_by_key`, without the empty cells, from an order that sorts the keys."""
     out = np.empty(keys.size, np.int32)
     n = 0
     for k in range(order.size):
@@ -89,7 +89,7 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
     n_cells = width * (cells.row(int(y.max())) - row0 + 1)
     keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
     if n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024:
-        lowest = _lowest_dense(x, y, z, keys, n_cells)
+        lowest = lowest_by_key(x, y, z, keys, n_cells)
         return lowest[lowest >= 0]
     return _lowest_sorted(x, y, z, keys, np.argsort(keys, kind="stable"))
 

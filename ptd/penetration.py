@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys, lowest_per_cell, occupied
+from ptd.cells import Int32, Int64, cell_keys, lowest_by_key, occupied
 from ptd.frame import Cells, Scale, Window
 from ptd.kernel import kernel
 
@@ -85,7 +85,7 @@ def seen_through(xyz: Int32, core: Window, scale: Scale) -> dict[str, int]:
     width = cells.column(int(x.max())) + 2 - col0
     point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
     keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
-    lowest = lowest_per_cell(x, y, z, cells)  # in the order of the keys
+    lowest = lowest_by_key(x, y, z, slot, keys.size)
     gap = _gaps(z, slot, z[lowest], scale.counts_z(BIN_M))
     own = core.has(x[lowest], y[lowest])
     return {"looks": int(own.sum()), "through": int(_seen_through(keys, gap, own, width))}

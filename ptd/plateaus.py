@@ -143,9 +143,8 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
     wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
     cut = border.sum(axis=1) > CUT * every
     ends = wide <= np.where(cut, rule.widest_cut, rule.widest)
-    through = (np.minimum(border[:, :2], border[:, 2:4]) >= THROUGH).any(
-        axis=1
-    )  # east and west, north and south
+    opposite = np.minimum(border[:, :2], border[:, 2:4])  # east and west, north and south
+    through = (opposite >= THROUGH).any(axis=1)
     found: Bool = np.append(above & (large | leans) & ends & ~through, False)[surface]  # -1: no surface
     return found
 

@@ -110,7 +110,9 @@ class Auto(AutoParameters):
             DensifyPass(self),
             RefinePass(self, reach_m=(self.refine_reach + 1) * cell),
             *(
-                RoofPass(self, f"roofs{n}" if n > 1 else "roofs", reach_m=(self.roof_reach + 1) * cell)
+                RoofPass(
+                    self, f"roofs{n}" if n > 1 else "roofs", again=n > 1, reach_m=(self.roof_reach + 1) * cell
+                )
                 for n in range(1, self.roof_rounds + 1)
             ),
             LabelPass(self),
@@ -246,6 +248,7 @@ class RoofPass(Pass):
     name: str = "roofs"
     columns: tuple[str, ...] = ("labels",)
     reach_m: float | None = None
+    again: bool = False
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Look around each connected surface."""
@@ -253,9 +256,8 @@ class RoofPass(Pass):
         cells, wide, rule = Cells.of(p.thin_cell_m, scale), Cells.of(p.roof_cell_m, scale), p.plateaus(scale)
         x, y, z, codes = lowest_points(points, cells)
         ground, before = codes == GROUND, codes == ROOF
-        again = self.name != "roofs"
         for index, inner in blocks(x, y, cells, p.roof_reach):
-            if again and not before[index].any():
+            if self.again and not before[index].any():
                 continue  # nothing has changed since
             raster = CellRaster(x[index], y[index], wide)
             roofs = on_plateaus(z[index], ground[index], before[index], raster, rule)
