@@ -1,1 +1,7 @@
 """The command ``tiler``: a thin shell over the library, one file per command."""
+
+import sys
+
+from tiler.imports import trusted_path
+
+sys.path[:] = trusted_path()  # before anything else is imported

@@ -22,6 +22,9 @@ from numba.core import config as numba_config
 __all__ = ["cache_folder", "inlined", "kernel", "wide"]
 
 config: Any = numba_config  # its variables are made at run time
+# numba reads settings of a file in the current folder: one that came with the clouds must not change a result.
+config._config_fname = os.devnull
+config.reload_config()
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")

@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import IO, Any, TypeVar
 
 from tiler.errors import TilerError
+from tiler.imports import trusted_path
 
 Result = TypeVar("Result")
 
@@ -138,9 +139,11 @@ class Guard:
 
 
 def _child(memory_bytes: int | None) -> subprocess.Popen[bytes]:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
+    """Start a child that imports from where this process does, and never from the current folder (``-P``)."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
+    limit = [] if memory_bytes is None else [str(memory_bytes)]
     return subprocess.Popen(
-        [sys.executable, "-m", "tiler.schedule.guarded", *([] if memory_bytes is None else [str(memory_bytes)])],
+        [sys.executable, "-P", "-m", "tiler.schedule.guarded", *limit],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
     )  # fmt: skip
 
