@@ -12,7 +12,7 @@ from typing import Any
 
 from tiler import __version__
 from tiler.errors import ConfigError, TilerError, refused_write
-from tiler.places import cloud_path, is_url, joined, stat_cloud, try_write
+from tiler.places import State, cloud_path, is_url, joined, state_of, try_write
 from tiler.schedule import Machine
 from tiler.store import open_store
 
@@ -36,8 +36,8 @@ class Access:
     ----------
     scheduler : str
         Its address, for messages.
-    sources : sequence of (str, int)
-        Path or URL of each input, and its bytes.
+    sources : sequence of (str, State)
+        Path or URL of each input, and the state in which the plan found it.
     store_url : str or None
         None: not yet known.
     products : str or None
@@ -54,7 +54,7 @@ class Access:
     def __init__(
         self,
         scheduler: str,
-        sources: Sequence[tuple[str, int]],
+        sources: Sequence[tuple[str, State]],
         store_url: str | None,
         products: str | None,
         store_there: bool = True,
@@ -142,15 +142,19 @@ def _remedy(place: str, what: str) -> str:
     return f"{what} by URL (s3://...), or on a disk that all machines share"
 
 
-def unreadable(sources: Sequence[tuple[str, int]]) -> list[tuple[str, str]]:
+def unreadable(sources: Sequence[tuple[str, State]]) -> list[tuple[str, str]]:
     """On a worker: the first input that it cannot read, and why; empty where it reads all."""
-    for place, size in sources:
+    for place, state in sources:
         try:
-            found = stat_cloud(cloud_path(place)).st_size
+            found = state_of(cloud_path(place))
         except (OSError, TilerError) as error:
             return [(place, getattr(error, "strerror", None) or str(error))]
-        if found != size:
-            return [(place, f"{found:,} bytes there, {size:,} here")]
+        if found.size != state.size:
+            return [(place, f"{found.size:,} bytes there, {state.size:,} here")]
+        if found != state:
+            return [
+                (place, "the same size, but another time of change: copies keep it with cp -p or rsync -t")
+            ]
     return []
 
 

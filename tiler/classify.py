@@ -81,6 +81,7 @@ def _classify(
         store = open_store(str(Path(scratch) / "store.zarr"))
         arguments = {
             "path": str(source), "source": 0, "out": str(target), "labels": LABELS, "salvage": config.salvage,
+            "stamp": info.stamp,
             "cells": [[cell.ix, cell.iy] for cell in store.buckets()],
         }  # fmt: skip
         if config.in_process:

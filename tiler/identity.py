@@ -9,13 +9,15 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 from tiler.errors import InputError
 from tiler.ingest import SourceInfo
 from tiler.job import Job
+from tiler.las.unchanged import refuse_changed
 from tiler.perform import compute
-from tiler.places import cloud_path, open_cloud
+from tiler.places import State, cloud_path, open_cloud
 from tiler.schedule import Task, digest_of
 from tiler.tasks import Source
 
@@ -41,7 +43,7 @@ def numbered(job: Job) -> list[Source]:
     todo = []
     for place, info in places.items():
         entry = known.setdefault(place, {"number": len(known)})
-        if job.plan.config.verify or entry.get("stamp") != _stamp(info):
+        if job.plan.config.verify or entry.get("stamp") != info.stamp:
             todo.append((place, info))
     unreadable = _identify(job, known, todo)
     job.store.put_state("sources", known)
@@ -53,15 +55,11 @@ def numbered(job: Job) -> list[Source]:
     ]
 
 
-def _stamp(info: SourceInfo) -> list[Any]:
-    return [info.size, info.mtime_ns, info.digest]
-
-
 def _identify(
     job: Job, known: dict[str, dict[str, Any]], todo: list[tuple[str, SourceInfo]]
 ) -> dict[str, str]:
     """Have the workers read files, and keep what they find; path -> reason of those that cannot be read."""
-    stamps, unreadable = {place: _stamp(info) for place, info in todo}, {}
+    stamps, unreadable = {place: info.stamp for place, info in todo}, {}
     tasks = list(_tasks(todo))
     if not tasks:
         return {}
@@ -114,7 +112,7 @@ def _tasks(todo: Iterable[tuple[str, SourceInfo]]) -> Iterator[Task]:
 
 
 def _task(group: list[tuple[str, SourceInfo]]) -> Task:
-    files = [[place, info.size] for place, info in group]
+    files = [[place, info.state.to_json()] for place, info in group]
     digest = digest_of(files)
     points = sum(info.points for _, info in group)
     return Task(STAGE, digest, digest, read_files, {"files": files}, points)
@@ -123,25 +121,25 @@ def _task(group: list[tuple[str, SourceInfo]]) -> Task:
 def read_files(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
     """On a worker: place -> ``content``, or ``error``, of some files."""
     found = {}
-    for place, size in arguments["files"]:
+    for place, state in arguments["files"]:
         try:
-            found[place] = {"content": _content(place, size)}
+            found[place] = {"content": _content(cloud_path(place), State(*state))}
         except InputError as error:
             found[place] = {"error": str(error)}
     return found
 
 
-def _content(place: str, size: int) -> str:
-    """Digest of all bytes of a file; raises InputError."""
-    digest, held = hashlib.blake2b(digest_size=16), 0
+def _content(path: Path, state: State) -> str:
+    """Digest of all bytes of a file that is in this state before and after they are read; raises InputError."""
+    refuse_changed(path, state)
+    digest = hashlib.blake2b(digest_size=16)
     try:
-        with open_cloud(cloud_path(place)) as stream:
+        with open_cloud(path) as stream:
             while part := stream.read(_PIECE_BYTES):
                 digest.update(part)
-                held += len(part)
     except OSError as error:
+        refuse_changed(path, state)
         reason = error.strerror or error
-        raise InputError(f"{place}: cannot be read ({reason}); see to the disk and its rights") from error
-    if held != size:
-        raise InputError(f"{place}: {held:,} bytes, {size:,} when the run began; run again when it is whole")
+        raise InputError(f"{path}: cannot be read ({reason}); see to the disk and its rights") from error
+    refuse_changed(path, state)
     return digest.hexdigest()

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from glob import has_magic
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -69,6 +70,45 @@ def stat_cloud(path: Path) -> os.stat_result:
     """Size and time of change of a path or URL; raises OSError."""
     with storage_errors():
         return path.stat()
+
+
+TAGS = ("ETag", "etag", "Content-MD5", "md5Hash", "generation", "Last-Modified")
+"""Names under which object stores and servers tell one content of an object from another."""
+
+
+@dataclass(frozen=True)
+class State:
+    """What tells, without reading it, whether a file is still the same.
+
+    Attributes
+    ----------
+    size, mtime_ns : int
+        Bytes; time of change, 0 where a server does not tell it.
+    tag : str
+        Of its content, that an object store or server gives; empty on a disk.
+    """
+
+    size: int
+    mtime_ns: int
+    tag: str = ""
+
+    def to_json(self) -> list[Any]:
+        """Size, time and tag."""
+        return [self.size, self.mtime_ns, self.tag]
+
+
+def state_of(path: Path) -> State:
+    """The state of a path or URL as it is now, whatever was asked before; raises OSError."""
+    if not is_url(path):
+        stat = path.stat()
+        return State(stat.st_size, stat.st_mtime_ns)
+    with storage_errors():
+        place = cast(Any, path)
+        place.fs.invalidate_cache(place.fs._parent(place.path))
+        found = place.stat()
+        info = found.as_info()
+        tag = next((str(info[name]) for name in TAGS if info.get(name)), "").removeprefix("W/").strip('"')
+        return State(int(found.st_size), int(found.st_mtime_ns), tag)
 
 
 def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES) -> BinaryIO:

@@ -86,7 +86,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
             arguments = {
                 "path": str(source.info.path.resolve()), "source": source.number, "piece": key, "start": start,
                 "count": count, "wanted": wanted, "salvage": plan.config.salvage, "extent": extent,
-                "identity": identity,
+                "identity": identity, "stamp": source.info.stamp,
             }  # fmt: skip
             yield Task("spool", key, digest_of(identity, wanted), spool_piece, arguments, count)
 
@@ -301,4 +301,5 @@ def classified_tasks(
             "area": None if whole else area_key(plan),
         }  # fmt: skip
         digest = digest_of(__version__, source.identity, arguments, [labels[c] for c in cells])
+        arguments["stamp"] = source.info.stamp  # a file that was touched has the bytes that it had
         yield Task("export", f"c{source.number:06d}", digest, write_classified, arguments, source.info.points)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from tiler.access import Access
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError
+from tiler.places import state_of
 from tiler.schedule import Machine
 from tiler.store import StoreMeta, create_store
 
@@ -31,7 +34,9 @@ def asked(tmp_path: Path) -> Callable[..., Access]:
     create_store(str(store), meta)
 
     def make(path: Path = cloud, size: int = 100, url: str = str(store), there: bool = True) -> Access:
-        return Access("tcp://s:1", [(str(path), size)], url, str(tmp_path), there)
+        return Access(
+            "tcp://s:1", [(str(path), replace(state_of(cloud), size=size))], url, str(tmp_path), there
+        )
 
     return make
 
@@ -41,6 +46,15 @@ def test_a_worker_that_has_all(asked: Callable[..., Access], tmp_path: Path) -> 
     look(here, "tcp://w:2")
     assert look.out_seen
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cloud.laz", "store.zarr"]
+
+
+def test_a_copy_of_another_time_is_no_input_of_this_run(tmp_path: Path) -> None:
+    cloud = tmp_path / "cloud.laz"
+    cloud.write_bytes(b"x" * 100)
+    look = Access("tcp://s:1", [(str(cloud), state_of(cloud))], None, None)
+    os.utime(cloud, ns=(0, 1_000_000_007))
+    with pytest.raises(ConfigError, match=r"cloud\.laz \(the same size, but another time of change: .*cp -p"):
+        look(here, "tcp://w:2")
 
 
 def test_a_worker_that_does_not_see_out(

@@ -102,7 +102,7 @@ def test_a_file_that_changes_meanwhile_is_left_out(
     assert [s.number for s in sources] == [0, 1, 2, 3, 5, 6, 7, 8, 9]
     (left_out,) = job.quarantined
     assert left_out["path"] == str(paths[4])
-    assert "when the run began; run again when it is whole" in left_out["error"]
+    assert "while the run went on (" in left_out["error"]
     monkeypatch.undo()
     assert [s.number for s in numbered(paths, store)[0]] == list(range(10))
 
@@ -110,7 +110,11 @@ def test_a_file_that_changes_meanwhile_is_left_out(
 @pytest.mark.parametrize(
     ("grown", "settings", "text"),
     [
-        ([4], {"on_error": "stop"}, r"4\.las: .* bytes, .* when the run began"),
+        (
+            [4],
+            {"on_error": "stop"},
+            r"4\.las: was replaced or .* \(.* bytes before, .* now\); run",
+        ),
         (range(10), {}, r"no input could be read; the first: .*0\.las: "),
     ],
 )

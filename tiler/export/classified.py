@@ -22,9 +22,10 @@ from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
 from tiler.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
-from tiler.las.headers import LasHeader, read_header
+from tiler.las.headers import LasHeader
 from tiler.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
 from tiler.las.records import VariableRecord
+from tiler.las.unchanged import refuse_changed, unchanged
 from tiler.las.writer import PointWriter, laszip_vlr
 from tiler.places import cloud_path, folder_for, open_cloud, partial_path
 from tiler.store import TileStore, open_store
@@ -48,7 +49,7 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     args : dict
         ``path`` (str) and ``source`` (int) of the input; ``out`` (str, the final name, a path or URL); ``labels`` (str,
         the name of the final labels); ``cells`` ([[ix, iy], ...], the buckets that hold points of it);
-        ``salvage`` (bool); ``area`` (str, key in the store, or None).
+        ``salvage`` (bool); ``stamp`` (of the input, as the plan found it); ``area`` (str, key in the store, or None).
         A label of 0, a point that the store does not hold and one outside of the area keep the source's class.
 
     Returns
@@ -60,15 +61,15 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Raises
     ------
     InputError
-        The source cannot be decoded.
+        The source cannot be decoded, or is no longer the one whose points have these classes.
     ProcessingError
         The file cannot be written, or lazrs cannot compress it without loss.
     """
     store = open_store(store_url)
-    header = read_header(cloud_path(args["path"]), bool(args.get("salvage", False)))
-    header = replace(header, point_count=count_decodable(header))  # as it was read, if it had to be salvaged
+    path, salvage = cloud_path(args["path"]), bool(args.get("salvage", False))
     place, name = os.path.split(args["out"])
-    with folder_for(place) as folder:
+    with unchanged(path, args.get("stamp"), salvage) as header, folder_for(place) as folder:
+        header = replace(header, point_count=count_decodable(header))  # as it was read, if salvaged
         return _write(store, header, args, folder / name)
 
 
@@ -85,6 +86,7 @@ def _write(store: TileStore, header: LasHeader, args: dict[str, Any], out: Path)
             _write_back(header, source, target)
             target.flush()
             os.fsync(target.fileno())
+        refuse_changed(header.path, header.state)
         os.replace(partial, out)
         _sync_folder(out.parent)
     except OSError as error:

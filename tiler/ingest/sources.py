@@ -20,7 +20,7 @@ from tiler.las.columns import RGB_FORMATS
 from tiler.las.headers import read_header
 from tiler.las.laz import LazLayout
 from tiler.las.reader import count_decodable, rows_at_once
-from tiler.places import is_url, list_clouds, stat_cloud
+from tiler.places import State, is_url, list_clouds, stat_cloud
 from tiler.schedule.guard import Died, Guard
 
 Read = TypeVar("Read")
@@ -47,10 +47,10 @@ class SourceInfo:
     Attributes
     ----------
     path : Path
-    size, mtime_ns : int
-        Bytes; time of change, to see whether it changed.
+    state : State
+        Size and time of change, to see whether it changed.
     digest : str
-        Of the bytes before the points.
+        Of the bytes before the points and of the table of chunks.
     version : str
         Of LAS.
     point_format, record_length, points : int
@@ -73,8 +73,7 @@ class SourceInfo:
     """
 
     path: Path
-    size: int
-    mtime_ns: int
+    state: State
     digest: str
     version: str
     point_format: int
@@ -93,10 +92,20 @@ class SourceInfo:
     patches: tuple[Patch, ...] = ()
     chunks: int | tuple[int, ...] = 0
 
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return self.state.size
+
+    @property
+    def stamp(self) -> list[Any]:
+        """As `LasHeader.stamp`: what a task holds against the file that it reads."""
+        return [*self.state.to_json(), self.digest]
+
     def to_json(self) -> dict[str, Any]:
         """A JSON-able description."""
         return {
-            "path": str(self.path), "size": self.size, "mtime_ns": self.mtime_ns, "digest": self.digest,
+            "path": str(self.path), "size": self.size, "mtime_ns": self.state.mtime_ns, "digest": self.digest,
             "version": self.version, "point_format": self.point_format, "points": self.points,
             "compressed": self.compressed, "copc": self.copc, "salvaged": self.salvaged,
             "crs": self.georeference.name or None, "bounds": self.bounds and list(self.bounds),
@@ -216,7 +225,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
     if extent.note:
         notes.append(extent.note)
     return SourceInfo(
-        path=header.path, size=header.size, mtime_ns=header.mtime_ns, digest=header.digest,
+        path=header.path, state=header.state, digest=header.digest,
         version="{}.{}".format(*header.version), point_format=header.point_format,
         record_length=header.record_length, points=header.point_count, compressed=header.laz is not None,
         copc=any(v.is_copc for v in header.vlrs), has_rgb=header.point_format in RGB_FORMATS,

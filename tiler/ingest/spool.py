@@ -13,8 +13,9 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
 from tiler.ingest.requantise import fits_int32, to_counts
 from tiler.las.columns import class_and_flags, colours, returns
-from tiler.las.headers import LasHeader, read_header
+from tiler.las.headers import LasHeader
 from tiler.las.reader import NEEDED, PointReader, Records
+from tiler.las.unchanged import unchanged
 from tiler.places import cloud_path
 from tiler.store import open_store
 
@@ -34,7 +35,8 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     args : dict
         ``path`` (str), ``source`` (int, its id in this run), ``piece`` (str, name in the spool), ``start``
         and ``count`` (records), ``wanted`` (the buckets whose points are stored, see `Area.cells`; None: all),
-        ``salvage``; ``extent`` ([x0, y0, x1, y1] in absolute counts: what the header says, or None); ``identity``
+        ``salvage``; ``stamp`` (of the file, as the plan found it);
+        ``extent`` ([x0, y0, x1, y1] in absolute counts: what the header says, or None); ``identity``
         (of the piece, whatever is wanted of it).
 
     Returns
@@ -48,12 +50,14 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Raises
     ------
     InputError
-        The points cannot be decoded.
+        The points cannot be decoded, or the file is no longer the one that the plan read.
     """
     store = open_store(store_url)
     frame, lattice = store.meta.frame, store.meta.bucket
-    header = read_header(cloud_path(args["path"]), bool(args.get("salvage", False)))
-    with PointReader(header, NEEDED) as reader:
+    with (
+        unchanged(cloud_path(args["path"]), args.get("stamp"), bool(args.get("salvage", False))) as header,
+        PointReader(header, NEEDED) as reader,
+    ):
         records = reader.read(int(args["start"]), int(args["count"]))
     local, keep, dropped, rounding = place(records, header, frame)
     block = columns(records, header, local, int(args["source"]), int(args["start"]), store.meta.has_rgb).take(

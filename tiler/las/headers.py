@@ -11,12 +11,12 @@ import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
 from stat import S_ISREG
-from typing import BinaryIO, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 from tiler.errors import InputError
 from tiler.las.laz import LazDamage, LazLayout, bytes_of_points, parse_laszip, read_table, walk_chunks
 from tiler.las.records import VariableRecord, walk_records
-from tiler.places import open_cloud, stat_cloud
+from tiler.places import State, is_url, open_cloud, state_of
 
 _BLOCK_BYTES = 1 << 18
 """Bytes of an object read at once: what stands before the points, the chunk table or a record seldom take more."""
@@ -41,8 +41,8 @@ class LasHeader:
     Attributes
     ----------
     path : Path
-    size, mtime_ns : int
-        Of the file: bytes, nanoseconds.
+    state : State
+        Of the file, when the header was read.
     version : tuple of int
     global_encoding, header_size, points_offset, point_format, record_length, point_count : int
         Format without the bit of compression; bytes; points that can be read.
@@ -57,14 +57,13 @@ class LasHeader:
     laz : LazLayout or None
         None: not compressed.
     digest : str
-        Of the bytes before the points.
+        Of the bytes before the points and of the table of chunks.
     notes : tuple of str
         What was wrong and yet does no harm.
     """
 
     path: Path
-    size: int
-    mtime_ns: int
+    state: State
     version: tuple[int, int]
     global_encoding: int
     header_size: int
@@ -83,6 +82,16 @@ class LasHeader:
     laz: LazLayout | None = None
     digest: str = ""
     notes: tuple[str, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return self.state.size
+
+    @property
+    def stamp(self) -> list[Any]:
+        """State and digest: the same as long as the file is, see `tiler.las.unchanged`."""
+        return [*self.state.to_json(), self.digest]
 
     @property
     def prefers_wkt(self) -> bool:
@@ -120,11 +129,13 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
         The file cannot be opened, is no LAS, or claims what cannot be.
     """
     try:
-        stat = stat_cloud(path)
-        if not S_ISREG(stat.st_mode):  # to open a pipe would wait for its other end
+        state = state_of(path)
+        if not is_url(path) and not S_ISREG(
+            path.stat().st_mode
+        ):  # to open a pipe would wait for its other end
             refuse(path, "is no regular file", "name LAS or LAZ files")
         with open_cloud(path, _BLOCK_BYTES) as stream:
-            header = _fixed_block(path, stream, stat.st_size, stat.st_mtime_ns, salvage)
+            header = _fixed_block(path, stream, state, salvage)
             header = _records(header, stream)
             if header.laz is None:
                 header = _plain_points(header, salvage)
@@ -132,7 +143,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
                 header = _compressed_points(header, header.laz, stream, salvage)
             if header.point_count == 0 and header.notes and salvage:
                 refuse(path, f"{header.notes[-1]}; not one point can be salvaged")
-            return replace(_extended(header, stream, salvage), digest=_digest(stream, header.points_offset))
+            return replace(_extended(header, stream, salvage), digest=_digest(header, stream))
     except OSError as error:
         refuse(path, f"cannot be read ({error.strerror or error})", "name a readable LAS or LAZ file")
 
@@ -144,8 +155,9 @@ def read_payload(path: Path, record: VariableRecord, limit: int = 1 << 24) -> by
         return stream.read(min(record.length, limit))
 
 
-def _fixed_block(path: Path, stream: BinaryIO, size: int, mtime_ns: int, salvage: bool) -> LasHeader:
+def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> LasHeader:
     """The fields of the public header block; the CRS, the records and the points are not looked at."""
+    size = state.size
     raw = stream.read(_HEADER_SIZES[4])
     if raw[:4] != b"LASF":
         refuse(path, f"begins with {raw[:4]!r}, not with LASF: no LAS or LAZ file", "name LAS or LAZ files")
@@ -180,7 +192,7 @@ def _fixed_block(path: Path, stream: BinaryIO, size: int, mtime_ns: int, salvage
         waveform, evlrs, n_evlrs, count = _LAS14.unpack_from(raw, 227)
         evlrs = evlrs if n_evlrs else 0
     header = LasHeader(
-        path, size, mtime_ns, (major, minor), encoding, header_size, points_offset, form & 0x3F, length,
+        path, state, (major, minor), encoding, header_size, points_offset, form & 0x3F, length,
         count or legacy_count, fields[21:24], fields[24:27], bounds[1::2], bounds[0::2], waveform, evlrs,
     )  # fmt: skip
     if not all(math.isfinite(s) and s > 0 for s in header.scales):
@@ -297,11 +309,13 @@ def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
     return replace(header, evlrs=evlrs)
 
 
-def _digest(stream: BinaryIO, stop: int) -> str:
-    """Digest of the bytes before the points, read in bounded pieces."""
-    digest = hashlib.blake2b(digest_size=16)
+def _digest(header: LasHeader, stream: BinaryIO) -> str:
+    """Digest of the bytes before the points, read in bounded pieces, and of the table of chunks."""
+    digest, left = hashlib.blake2b(digest_size=16), header.points_offset
     stream.seek(0)
-    while stop > 0 and (part := stream.read(min(stop, 1 << 20))):
+    while left > 0 and (part := stream.read(min(left, 1 << 20))):
         digest.update(part)
-        stop -= len(part)
+        left -= len(part)
+    if header.laz is not None:
+        digest.update(header.laz.counts.tobytes() + header.laz.sizes.tobytes())
     return digest.hexdigest()

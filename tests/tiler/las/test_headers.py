@@ -138,6 +138,13 @@ def test_digest_is_of_what_lies_before_the_points(make_cloud: Any) -> None:
     assert digest != read_header(patch(first, 131, "<d", 0.02)).digest
 
 
+def test_digest_is_of_the_table_of_chunks_as_well(make_cloud: Any) -> None:
+    first, second = (make_cloud(f"{seed}.laz", n=200, seed=seed) for seed in (1, 2))
+    offset = read_header(first).points_offset
+    second.write_bytes(first.read_bytes()[:offset] + second.read_bytes()[offset:])
+    assert read_header(first).digest != read_header(second).digest
+
+
 @pytest.mark.parametrize("n", [1, 49_999, 50_000, 50_001, 100_000])
 @pytest.mark.parametrize("point_format", [0, 6])
 def test_chunks_that_are_just_full(make_cloud: Any, n: int, point_format: int) -> None:

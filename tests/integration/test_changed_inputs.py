@@ -1,0 +1,158 @@
+"""An input that is replaced while the run goes on is left out in one line, and nothing is written of its old points."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.invariants import clouds
+from tests.invariants.runs import do
+from tiler import identity, tasks
+from tiler.errors import InputError
+from tiler.export import write_classified
+from tiler.ingest import spool_piece
+from tiler.las.reader import PointReader
+
+CHANGED = "was replaced or written to while the run went on"
+Work = Callable[[str, dict[str, Any]], dict[str, Any]]
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path, Path]:
+    """A good file; one to be replaced; and the other's points in reverse, in as many bytes."""
+    cloud = clouds.city(96.0)
+    west, east = (cloud.take(side) for side in (cloud.xyz[:, 0] < 48, cloud.xyz[:, 0] >= 48))
+    back = clouds.Cloud(east.xyz[::-1], east.truth[::-1])
+    paths = tuple(tmp_path / "in" / name for name in ("west.las", "east.las", "elsewhere/east.las"))
+    for path, part in zip(paths, (west, east, back), strict=True):
+        clouds.write(path, part)
+    assert paths[1].stat().st_size == paths[2].stat().st_size
+    return paths
+
+
+def before_the_first(work: Work, change: Callable[[], object]) -> Work:
+    """The work of a task, with something that happens before it is done for the first time."""
+    done: list[bool] = []
+
+    def changed(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        if not done:
+            done.append(True)
+            change()
+        return work(store_url, arguments)
+
+    return changed
+
+
+def by_name(old: Path, new: Path) -> None:
+    os.replace(new, old)
+
+
+def in_place(old: Path, new: Path) -> None:
+    shutil.copyfile(new, old)
+
+
+@pytest.mark.parametrize("how", [by_name, in_place])
+def test_replaced_before_it_is_decoded(
+    files: tuple[Path, Path, Path], how: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good, path, other = files
+    work = before_the_first(spool_piece, lambda: how(path, other))
+    monkeypatch.setattr(tasks, "spool_piece", work)
+    result = do([good, path], tmp_path / "out")
+    assert result.exit_code == 5
+    (left_out,) = result.summary["quarantined"]
+    assert left_out["path"] == str(path)
+    assert CHANGED in left_out["error"]
+    assert not (tmp_path / "out" / "classified" / "east.laz").exists()
+    assert (tmp_path / "out" / "classified" / "west.laz").exists()
+    monkeypatch.undo()
+    again = do([good, path], tmp_path / "out")
+    assert again.exit_code == 0
+    do([good, path], tmp_path / "alone")
+    for name in ("dtm.tif", "classified/east.laz"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+
+
+def test_replaced_before_its_classes_are_written(
+    files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good, path, other = files
+    work = before_the_first(write_classified, lambda: in_place(path, other))
+    monkeypatch.setattr(tasks, "write_classified", work)
+    result = do([good, path], tmp_path / "out")
+    assert result.exit_code == 5
+    (failed,) = result.summary["failed_tasks"]
+    assert failed["error"].startswith(f"{path}: {CHANGED}")
+    assert os.listdir(tmp_path / "out" / "classified") == ["west.laz"]
+
+
+def while_it_is_read(work: Work, old: Path, new: Path, monkeypatch: pytest.MonkeyPatch) -> Work:
+    """The work of a task, with the file replaced after its first records were read."""
+    read = PointReader.read
+
+    def replacing(reader: PointReader, start: int, count: int) -> Any:
+        records = read(reader, start, count)
+        if reader.header.path == old and new.exists():
+            os.replace(new, old)
+        return records
+
+    def changed(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        with monkeypatch.context() as patch:
+            patch.setattr(PointReader, "read", replacing)
+            return work(store_url, arguments)
+
+    return changed
+
+
+@pytest.mark.parametrize("name", ["spool_piece", "write_classified"])
+def test_replaced_while_it_is_read(
+    name: str, files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good, path, other = files
+    work = {"spool_piece": spool_piece, "write_classified": write_classified}[name]
+    monkeypatch.setattr(tasks, name, while_it_is_read(work, path, other, monkeypatch))
+    result = do([good, path], tmp_path / "out")
+    assert result.exit_code == 5
+    told = [*result.summary["quarantined"], *result.summary["failed_tasks"]]
+    assert [CHANGED in entry["error"] for entry in told] == [True]
+    assert os.listdir(tmp_path / "out" / "classified") == ["west.laz"]
+
+
+def test_replaced_while_its_digest_is_made(
+    files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good, path, other = files
+    work = before_the_first(identity.read_files, lambda: by_name(path, other))
+    monkeypatch.setattr(identity, "read_files", work)
+    result = do([good, path], tmp_path / "out")
+    assert [q["path"] for q in result.summary["quarantined"]] == [str(path)]
+    assert result.exit_code == 5
+
+
+def test_the_only_input_went_away(
+    files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tasks, "spool_piece", before_the_first(spool_piece, files[1].unlink))
+    with pytest.raises(
+        InputError, match=r"east\.las: left out: went away while the run went on \(No such file"
+    ):
+        do(files[1], tmp_path / "out")
+
+
+def test_a_piece_that_is_decoded_again_is_of_the_same_file(
+    files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The spool was cleaned, another setting needs it, and the file is replaced before it is decoded again."""
+    good, path, other = files
+    out = tmp_path / "out"
+    do([good, path], out)
+    shutil.rmtree(out / "store.zarr" / "spool")
+    monkeypatch.setattr(tasks, "spool_piece", before_the_first(spool_piece, lambda: by_name(path, other)))
+    result = do([good, path], out, keep_classes="7")
+    assert result.exit_code == 5
+    assert [q["path"] for q in result.summary["quarantined"]] == [str(path)]
