@@ -124,12 +124,19 @@ class RunConfig:
     )
     verify: bool = setting(False, "read the inputs again to see whether they changed", kind="flag")
     overwrite: bool = setting(False, "start afresh instead of resuming with what OUT holds", kind="flag")
+    force: bool = setting(False, "outputs may replace files that no run of this OUT made", kind="flag")
     clean_store: bool = setting(False, "remove the store when the run is done", kind="flag")
 
     @property
     def surface_percent(self) -> int | None:
         """Percentile of the heights of a cell that makes the DTM; None for all points."""
         return {"all": None, "median": 50}[self.surface] if self.surface[:1] != "p" else int(self.surface[1:])
+
+    @property
+    def exported(self) -> tuple[str, ...]:
+        """The products that become files."""
+        marked = {"mask"} if self.voids == "mark" else set()
+        return tuple(name for name in PRODUCTS if name in marked or name in self.products)
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able settings; `from_mapping` reads them back."""

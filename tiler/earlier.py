@@ -12,12 +12,10 @@ from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
-from tiler.errors import refused_write
+from tiler.errors import ConfigError, refused_write
 from tiler.job import Job
 from tiler.places import is_url, joined, move_file, sizes_at
-
-ASIDE = "outdated"
-"""Folder in OUT."""
+from tiler.results import ASIDE
 
 NAMED = 5
 """Files that the note names; the others are counted."""
@@ -37,10 +35,15 @@ def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
 
     Raises
     ------
+    ConfigError
+        A file that this run writes is there, and no earlier run made it.
     ProcessingError
         A file cannot be moved.
     """
-    earlier = job.facts["earlier_outputs"]
+    # What was dealt with already is this run's own: after a repair of the store all of this is done again.
+    earlier = {**job.facts["earlier_outputs"], **dict.fromkeys(job.facts.get("outputs", {}), basis)}
+    if not job.plan.config.force:
+        _refuse_foreign(job, [path for path in wanted if path not in earlier])
     there = {p: of for p, of in earlier.items() if p not in wanted and _inside(job.products, p)}
     sizes = dict(zip(there, sizes_at([joined(job.products, p) for p in there]), strict=True))
     stale = sorted(path for path, of in there.items() if of != basis and sizes[path] is not None)
@@ -57,6 +60,17 @@ def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
             f"moved to {ASIDE}/"
         )
     job.save("running")
+
+
+def _refuse_foreign(job: Job, wanted: list[str]) -> None:
+    """Raise ConfigError for files that came after the plan, or whose names it could not know."""
+    sizes = sizes_at([joined(job.products, path) for path in wanted])
+    there = [path for path, size in zip(wanted, sizes, strict=True) if size is not None]
+    if there:
+        raise ConfigError(
+            f"-o {job.products}: {', '.join(there[:NAMED])}: there already, and not known to be of a run of this "
+            "folder; move them away, or use --force to replace them"
+        )
 
 
 def _inside(out: str, path: str) -> bool:

@@ -15,14 +15,14 @@ from tiler.core.raster import RasterSpec
 from tiler.export import write_cog, write_mosaic
 from tiler.places import joined
 from tiler.plan import Plan
-from tiler.product_tasks import Gridding, checksums, exported, final
+from tiler.product_tasks import Gridding, checksums, final
 from tiler.schedule import Task, digest_of
 from tiler.tasks import area_key
 
 
 def cog_tasks(g: Gridding, inputs: str, out: str) -> Iterator[Task]:
     """One for each file."""
-    for name in exported(g.plan.config):
+    for name in g.plan.config.exported:
         raster = final(name, g.plan.config)
         common: dict[str, Any] = {
             "raster": raster, "product": name, "compress": g.plan.config.compress, "tags": _tags(g.plan, inputs),
@@ -48,7 +48,7 @@ def mosaic_tasks(g: Gridding, inputs: str, out: str) -> Iterator[Task]:
     """One VRT for each product that is cut into sheets."""
     if g.plan.config.sheets is None:
         return
-    for name in exported(g.plan.config):
+    for name in g.plan.config.exported:
         arguments = {
             "product": name, "out": out, "tags": _tags(g.plan, inputs), **_nodata(g.plan, name),
             "sheets": [[f"{name}/{name}_{place}.tif", spec.to_json()] for place, spec in sheets(g)],

@@ -19,8 +19,10 @@ from tiler.crew import Crew
 from tiler.errors import DamagedError, DiskFullError, ProcessingError
 from tiler.observe.events import Listener
 from tiler.perform import peak_rss_bytes, perform
+from tiler.places import is_url, joined, put_file
 from tiler.plan import Plan, plan_json
 from tiler.report import write_run_file
+from tiler.results import RUN
 from tiler.schedule import Outcome, Task
 from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 
@@ -226,6 +228,8 @@ class Job:
             **self.facts,
         }  # fmt: skip
         write_run_file(self.out, content)
+        if is_url(self.products):  # a run from elsewhere knows by it whose files these are
+            put_file(self.out / RUN, joined(self.products, RUN))
         return content
 
 

@@ -22,13 +22,11 @@ from tiler.observe.events import Listener, combine, silent
 from tiler.places import is_url, joined, put_file
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember
 from tiler.rasters import export, grid
-from tiler.report import earlier_outputs
-from tiler.report.html import NAME as REPORT
 from tiler.report.html import write_report
+from tiler.results import EVENTS, REPORT, RUN, earlier_outputs, folder_here
 from tiler.store import TileStore, create_store, open_store, remove_store, store_exists
 
 STAGES = ("ingest", "filter", "grid", "export")
-RUN, EVENTS = "run.json", "events.jsonl"
 
 
 def run(
@@ -63,9 +61,9 @@ def run(
     config, products = config or RunConfig(), str(out)
     if not products:
         raise ConfigError("-o: has no name; name a folder for the results")
-    out = Path(products.rstrip("/").rpartition("/")[2] if is_url(products) else products)
+    out = folder_here(products)
     started = time.monotonic()
-    plan = make_plan(inputs, config, None if is_url(products) else out)
+    plan = make_plan(inputs, config, products)
     _make_folder(out)
     if not is_url(products):
         products = str(out.resolve())  # workers have folders of their own
@@ -73,9 +71,14 @@ def run(
     if config.overwrite:
         remove_store(url)
     plan, store = _frozen(plan, url)
-    with store.lock() as lease, _copied(out, products), EventLog(out / EVENTS) as log:
-        job = Job(plan, out, products, store, combine(listener, log), lease=lease)
-        result = _locked_run(job, until, started)
+    with store.lock() as lease, _copied(out, products):
+        job = Job(plan, out, products, store, listener, lease=lease)
+        job.facts["products_at"] = products if is_url(products) else None
+        job.facts["earlier_outputs"] = earlier_outputs(out, products)
+        job.save("running")  # before any other file, which is known by it as this run's own
+        with EventLog(out / EVENTS) as log:
+            job.listener = combine(listener, log)
+            result = _locked_run(job, until, started)
     if config.clean_store and until == "export":
         remove_store(url)
     return result
@@ -108,11 +111,9 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     for text in (*left_out, *plan.warnings):
         listener("warning", {"text": text})
     if is_url(job.products):
-        job.facts["products_at"] = job.products
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
         )
-    job.facts["earlier_outputs"] = earlier_outputs(job.out, job.products)
     try:
         _healing_stages(job, until)
     except BaseException:

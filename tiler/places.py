@@ -47,12 +47,30 @@ LONGEST_NAME = 255
 """Bytes of the name of a file, on most file systems."""
 
 
-def partial_path(target: Path) -> Path:
-    """Where a file is written until it is whole: its name and ``.partial``, or a short one where that is too long."""
-    name = f"{target.name}.partial"
+SCRATCH_PREFIX = ".tiler-"
+"""How the names of files and folders begin that are tiler's own and nobody else's."""
+
+
+def partial_path(target: Path, kind: str = "") -> Path:
+    """Where a file is written until it is whole: a name of tiler's own beside it, that no file of the user has.
+
+    Parameters
+    ----------
+    target : Path
+        The file's final name.
+    kind : str
+        Tells several such files of one target apart.
+    """
+    name = f"{SCRATCH_PREFIX}{target.name}{kind and f'.{kind}'}.partial"
     if len(os.fsencode(name)) > LONGEST_NAME:
-        name = f"{hashlib.blake2b(os.fsencode(name), digest_size=16).hexdigest()}.partial"
+        short = hashlib.blake2b(os.fsencode(name), digest_size=16).hexdigest()
+        name = f"{SCRATCH_PREFIX}{short}.partial"
     return target.with_name(name)
+
+
+def is_scratch(name: str) -> bool:
+    """Whether a name is one that `partial_path` makes, or that GDAL makes of it while it writes."""
+    return name.startswith(SCRATCH_PREFIX) and (name.endswith(".partial") or ".partial." in name)
 
 
 @contextmanager
@@ -193,6 +211,20 @@ def joined(place: str, *names: str) -> str:
     return "/".join((place.rstrip("/"), *names))
 
 
+def names_in(place: str) -> list[str]:
+    """Sorted names of the files and folders directly in a folder at a path or URL; empty where there is none."""
+    try:
+        if not is_url(place):
+            return sorted(os.listdir(place))
+        from fsspec.core import url_to_fs
+
+        with storage_errors():
+            system, path = url_to_fs(place)
+            return sorted(name.rstrip("/").rpartition("/")[2] for name in system.ls(path, detail=False))
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
 def size_at(place: str) -> int | None:
     """Bytes of a file at a path or URL; None where there is none."""
     try:
@@ -249,7 +281,7 @@ def folder_for(place: str) -> Iterator[Path]:
     if not is_url(place):
         yield Path(place)
         return
-    with TemporaryDirectory(prefix="tiler-") as scratch:
+    with TemporaryDirectory(prefix=SCRATCH_PREFIX) as scratch:
         yield Path(scratch)
         for path in sorted(Path(scratch).iterdir()):
             put_file(path, joined(place, path.name))

@@ -98,7 +98,7 @@ def make_preview(
         tell("warning", {"text": text})
     sources = [s for s in plan.sources if s.points and s.bounds is not None]
     side = _side(plan, side_m)
-    with TemporaryDirectory(prefix="tiler-preview-") as scratch, Guard() as guard:
+    with TemporaryDirectory(prefix=".tiler-preview-") as scratch, Guard() as guard:
         places = _places(guard, sources, config.salvage)
         windows = spread(places, number, side, _hull(sources))
         files = _cut(guard, sources, windows, Path(scratch), config.salvage)
@@ -200,7 +200,7 @@ def _settings(plan: Plan) -> RunConfig:
     """Those of the run but for where and how much."""
     return plan.config.updated(
         products=("dtm", "dsm"), resolution=plan.resolution, sheets=None, bounds=None, aoi=None, store=None,
-        scheduler=None, workers=1, in_process=True, overwrite=False, clean_store=False, salvage=False,
+        scheduler=None, workers=1, in_process=True, overwrite=False, force=False, clean_store=False, salvage=False,
         crs=plan.config.crs or plan.meta.frame.crs_wkt or "none",
     )  # fmt: skip
 

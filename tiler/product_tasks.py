@@ -106,12 +106,6 @@ class Gridding:
         return 0.0 if product is None or product.nodata is None else product.nodata
 
 
-def exported(config: RunConfig) -> tuple[str, ...]:
-    """The products that become files."""
-    marked = {"mask"} if config.voids == "mark" else set()
-    return tuple(name for name in PRODUCTS if name in marked or name in config.products)
-
-
 def final(name: str, config: RunConfig) -> str:
     """The raster of the store that holds a product as people get it."""
     return f"{name}-filled" if name in MODELS and config.voids != "leave" else name
@@ -119,8 +113,8 @@ def final(name: str, config: RunConfig) -> str:
 
 def wanted(config: RunConfig) -> list[str]:
     """The rasters to make, each after those that it follows from."""
-    products = {"dtm", *exported(config)}
-    for product in exported(config):
+    products = {"dtm", *config.exported}
+    for product in config.exported:
         products.update(DERIVED.get(product, ()))
     fill = config.voids != "leave"
     names = ["dtm", *(("occupancy", "survey") if fill or "mask" in products else ())]

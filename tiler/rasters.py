@@ -159,7 +159,11 @@ def export(
         terrain = [task.key for task in tasks if task.arguments.get("product") == "dtm"]
         job.facts["dtm"]["filled"] = sum(made[key][1]["valid"] for key in terrain if key in made)
     job.facts["made_of"] |= {path: basis for key, path in written.items() if key.endswith(RASTERS)}
-    job.facts["earlier_outputs"] = {}
+    unwritten = [path for path in written.values() if path not in job.facts["outputs"]]
+    sizes = sizes_at([joined(out, path) for path in unwritten])  # of an earlier run, where a task failed
+    job.facts["earlier_outputs"] = {
+        p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
+    }
     if not rasters:
         raise ProcessingError(f"{job.failed[-1]['key']} could not be written: {job.failed[-1]['error']}")
 

@@ -21,6 +21,7 @@ SETTINGS = (
     "workers",
     "scheduler",
     "overwrite",
+    "force",
     "compress",
 )
 

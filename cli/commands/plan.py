@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -18,7 +17,7 @@ from cli.session import TilerCommand
     "-o",
     "--out",
     metavar="OUT",
-    help="as of `tiler run`: its disk, and whether workers reach it [default: none]",
+    help="as of `tiler run`: its disk, what is there already, and whether workers reach it [default: none]",
 )
 @config_options()
 @json_option
@@ -31,10 +30,10 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
     --store whether they can write there (a file without bytes, removed at once).
     """
     config = read_config(settings)
-    from tiler.places import is_url, joined
+    from tiler.places import joined
     from tiler.plan import make_plan, plan_json, plan_lines
 
-    plan = make_plan(inputs, config) if out is None or is_url(out) else make_plan(inputs, config, Path(out))
+    plan = make_plan(inputs, config, out)
     cluster = None
     if config.scheduler is not None:
         from tiler.crew import look_at_cluster

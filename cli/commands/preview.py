@@ -15,7 +15,7 @@ from cli.summary import percent_text
 
 WITHOUT = (
     "products", "sheets", "bounds", "aoi", "store", "scheduler", "workers", "in_process", "task_seconds",
-    "compress", "nodata", "on_error", "verify", "overwrite", "clean_store", "voids",
+    "compress", "nodata", "on_error", "verify", "overwrite", "force", "clean_store", "voids",
 )  # fmt: skip
 """Settings of a run that no preview has."""
 

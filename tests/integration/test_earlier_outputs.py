@@ -94,9 +94,11 @@ def test_an_early_stage_says_whose_files_these_are(cloud: Path, tmp_path: Path) 
 
 def test_a_list_that_leads_elsewhere_moves_nothing(cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    out.mkdir()
+    do(cloud, out)
     precious = tmp_path / "precious.tif"
     precious.write_bytes(b"mine")
-    (out / "run.json").write_text(json.dumps({"outputs": {"../precious.tif": 4, str(precious): 4}}))
+    found = json.loads((out / "run.json").read_text())
+    found["outputs"] |= {"../precious.tif": 4, str(precious): 4}
+    (out / "run.json").write_text(json.dumps(found))
     do(cloud, out)
     assert precious.read_bytes() == b"mine"

@@ -93,7 +93,7 @@ def test_a_target_that_refuses(tmp_path: Path) -> None:
 
 
 def test_a_long_name_has_a_short_one_until_it_is_whole(tmp_path: Path) -> None:
-    assert partial_path(tmp_path / "a.laz") == tmp_path / "a.laz.partial"
+    assert partial_path(tmp_path / "a.laz") == tmp_path / ".tiler-a.laz.partial"
     long = [tmp_path / ("ä" * 125 + end) for end in ("1.laz", "2.laz")]
     found = {partial_path(path) for path in long}
     assert len(found) == 2, "each has its own"

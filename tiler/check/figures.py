@@ -21,6 +21,7 @@ from tiler.check.accuracy import pixel_places
 from tiler.errors import InputError
 from tiler.export.geotiff import raster_errors
 from tiler.export.picture import png_bytes
+from tiler.places import partial_path
 
 WIDTH = 760
 HEIGHT = 420
@@ -66,7 +67,7 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, An
     with raster_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in drawings.items():
-            partial = folder / f"{name}.partial"
+            partial = partial_path(folder / name)
             partial.write_text(text, encoding="utf-8")
             os.replace(partial, folder / name)
     return [str(folder / name) for name in drawings]

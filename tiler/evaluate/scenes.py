@@ -206,7 +206,7 @@ def filter_and_evaluate(
 
     blind = config.updated(keep_classes=())
     listener("note", {"text": "the classes of the clouds are not shown to the filter"})
-    with TemporaryDirectory(prefix="tiler-evaluate-") as scratch:
+    with TemporaryDirectory(prefix=".tiler-evaluate-") as scratch:
         scenes, filtered = [], []
         for number, scene in enumerate(find_scenes(clouds, clouds)):
             target = Path(scratch) / f"{number}.laz"

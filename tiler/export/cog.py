@@ -26,7 +26,7 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.geotiff import CACHE_MB, TILE, RasterLook, plain_geotiff, raster_errors
-from tiler.places import folder_for
+from tiler.places import folder_for, partial_path
 from tiler.store import TileStore, open_store
 
 
@@ -103,7 +103,7 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
 
 def _write(store: TileStore, spec: RasterSpec, args: dict[str, Any], target: Path) -> dict[str, Any]:
     """Write a raster on this machine; the record of `write_cog`."""
-    plain, partial = (target.with_name(f"{target.name}.{kind}.partial") for kind in ("plain", "cog"))
+    plain, partial = (partial_path(target, kind) for kind in ("plain", "cog"))
     try:
         statistics = _write_plain(store, spec, args, plain)
         _copy_as_cog(plain, partial, args["compress"], _product(args))

@@ -13,7 +13,7 @@ from tiler.core.products import PRODUCTS
 from tiler.core.raster import RasterSpec
 from tiler.export.cog import raster_look
 from tiler.export.geotiff import TILE, RasterLook, raster_errors
-from tiler.places import folder_for
+from tiler.places import folder_for, partial_path
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
@@ -51,7 +51,7 @@ def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ElementTree.indent(root)
     with folder_for(args["out"]) as folder:
         target = folder / f"{args['product']}.vrt"
-        partial = target.with_name(f"{target.name}.partial")
+        partial = partial_path(target)
         with raster_errors(target):
             with open(partial, "wb") as stream:
                 ElementTree.ElementTree(root).write(stream, encoding="utf-8")

@@ -13,6 +13,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from tiler.export.geotiff import raster_errors
+from tiler.places import partial_path
 
 
 def png_bytes(rgba: npt.NDArray[np.uint8]) -> bytes:
@@ -48,7 +49,7 @@ def _encoded(bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int,
 
 def write_png(path: Path, rgba: npt.NDArray[np.uint8]) -> None:
     """Write a picture as `png_bytes` makes it; it appears when it is whole. Raises ProcessingError."""
-    partial = path.with_name(f"{path.name}.partial")
+    partial = partial_path(path)
     with raster_errors(path):
         partial.write_bytes(png_bytes(rgba))
         os.replace(partial, path)

@@ -10,7 +10,6 @@ from tiler.ingest.georeference import Agreement, Georeference, agree, same_horiz
 from tiler.ingest.patches import Patch
 from tiler.ingest.requantise import bounds_in_counts
 from tiler.ingest.sources import (
-    CLASSIFIED,
     SourceInfo,
     claimed_bounds,
     find_inputs,
@@ -23,7 +22,6 @@ from tiler.ingest.spool import spool_piece
 from tiler.ingest.strays import Strays, find_strays
 
 __all__ = [
-    "CLASSIFIED",
     "Agreement",
     "Georeference",
     "Patch",

@@ -21,14 +21,13 @@ from tiler.las.headers import read_header
 from tiler.las.laz import LazLayout
 from tiler.las.reader import count_decodable, rows_at_once
 from tiler.places import State, is_url, list_clouds, stat_cloud
+from tiler.results import CLASSIFIED
 from tiler.schedule.guard import Died, Guard
 
 Read = TypeVar("Read")
 
 SUFFIXES = (".las", ".laz")
 
-CLASSIFIED = "classified"
-"""Folder in OUT of the classified clouds."""
 OF_A_RUN = frozenset(("run.json", "events.jsonl"))
 """Files that tell an OUT."""
 

@@ -26,7 +26,7 @@ from tiler.plan.area import area_of, part_of
 from tiler.plan.crowd import Crowd
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
 from tiler.plan.model import KEEP, Plan
-from tiler.plan.refuse import refuse, refuse_own_results, warnings_of
+from tiler.plan.refuse import refuse, refuse_foreign_files, refuse_own_results, warnings_of
 from tiler.report import earlier_statistics
 from tiler.schedule import Guards
 from tiler.store import StoreMeta
@@ -37,7 +37,7 @@ FAR_READERS = 8
 """Processes that look into objects at URLs: they wait for answers most of the time, whatever the number of cores."""
 
 
-def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None) -> Plan:
+def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None = None) -> Plan:
     """Read the headers, settle CRS, units, method, sizes, and refuse what cannot work.
 
     Parameters
@@ -45,8 +45,8 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     inputs : sequence of str
         Files, folders, globs.
     config : RunConfig
-    out : Path, optional
-        The run's folder: not searched for inputs, and its disk is checked.
+    out : path or URL, optional
+        Of the run's results: what is there of other makers is not replaced, and the disk of a folder is checked.
 
     Raises
     ------
@@ -57,9 +57,10 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
     """
     parameters, defaults = _method(config)
     notes: list[str] = []
-    paths = find_inputs(inputs, () if out is None else (out,), notes.append)
-    if out is not None:
-        refuse_own_results(paths, out)
+    folder = None if out is None or is_url(out) else Path(out)
+    paths = find_inputs(inputs, () if folder is None else (folder,), notes.append)
+    if folder is not None:
+        refuse_own_results(paths, folder)
     sources, unreadable = _inspect_all(paths, config)
     agreement = agree(sources, config)
     notes += agreement.notes
@@ -96,7 +97,9 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: Path | None = None)
         None if config.statistics is None else earlier_statistics(Path(config.statistics), config.method, parameters),
     )  # fmt: skip
     plan = part_of(plan)
-    refuse(plan, out)
+    refuse(plan, folder)
+    if out is not None:
+        refuse_foreign_files(plan, str(out))
     return plan
 
 

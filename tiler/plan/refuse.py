@@ -14,16 +14,20 @@ import psutil
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import ConfigError
-from tiler.ingest import CLASSIFIED, SourceInfo
+from tiler.ingest import SourceInfo
 from tiler.places import is_url
 from tiler.plan.disk import projected_disk
-from tiler.plan.model import Plan
+from tiler.plan.model import KEEP, Plan
+from tiler.results import CLASSIFIED, folder_here, foreign_files
 
 MAX_DENOMINATOR = 511
 """Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
 WIDEST_RELIEF_M = 9000
 WIDE_TILE = 2 + 2 * math.sqrt(2)
 """Halos in a tile that does twice the work."""
+
+NAMED = 5
+"""Files that a refusal names; the others are counted."""
 
 MUCH_OVERLAP = 3.0
 """Padded area over core area, mean of the passes, from which on it is told of."""
@@ -74,6 +78,23 @@ def refuse_own_results(paths: Sequence[Path], out: Path) -> None:
     for path in paths:
         if not is_url(path) and Path(os.path.realpath(path)).is_relative_to(own):
             raise ConfigError(f"{path}: lies in {out}/{CLASSIFIED}, where this run writes; use another -o")
+
+
+def refuse_foreign_files(plan: Plan, products: str) -> None:
+    """Raise ConfigError where a run would replace files that no run of its OUT made, unless it may."""
+    if plan.config.force:
+        return
+    exported, sheets = plan.config.exported, plan.config.sheets is not None
+    wanted = [f"{name}.{'vrt' if sheets else 'tif'}" for name in exported]
+    if plan.config.method != KEEP:
+        wanted += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
+    found = foreign_files(folder_here(products), products, wanted, exported if sheets else ())
+    if found:
+        more = f" and {len(found) - NAMED:,} more" if len(found) > NAMED else ""
+        raise ConfigError(
+            f"-o {products}: {', '.join(found[:NAMED])}{more}: there already, and not known to be of a run of this "
+            "folder; use another -o, or --force to replace them"
+        )
 
 
 def refuse(plan: Plan, out: Path | None) -> None:

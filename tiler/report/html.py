@@ -13,13 +13,12 @@ from rasterio.errors import RasterioError
 
 from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, refused_write
-from tiler.places import joined, size_at
+from tiler.places import joined, partial_path, size_at
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import Node, el, section
 from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
-
-NAME = "report.html"
+from tiler.results import REPORT
 
 
 def write_report(out: Path, run: Mapping[str, Any] | None = None) -> Path:
@@ -55,8 +54,8 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None) -> Path:
         raise ProcessingError(
             f"{out}: a raster cannot be read ({' '.join(str(error).split())}); run again"
         ) from error
-    target = out / NAME
-    partial = out / f"{NAME}.partial"
+    target = out / REPORT
+    partial = partial_path(target)
     try:
         with open(partial, "wb") as stream:
             stream.write(page)

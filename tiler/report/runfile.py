@@ -9,21 +9,20 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError, refused_write
-from tiler.places import joined, read_bytes
-
-RUN = "run.json"
+from tiler.places import partial_path
+from tiler.results import RUN
 
 
 def write_run_file(out: Path, content: dict[str, Any]) -> None:
     """Replace ``OUT/run.json``; raises ProcessingError where it cannot be written."""
-    partial = out / "run.json.partial"
+    partial = partial_path(out / RUN)
     try:
         with open(partial, "w", encoding="utf-8") as stream:
             json.dump(content, stream, indent=1, sort_keys=True)
             stream.write("\n")
             stream.flush()
             os.fsync(stream.fileno())
-        os.replace(partial, out / "run.json")
+        os.replace(partial, out / RUN)
     except OSError as error:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -54,26 +53,3 @@ def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> di
             "use the same --method and --set"
         )
     return dict(statistics)
-
-
-def earlier_outputs(out: Path, products: str) -> dict[str, str | None]:
-    """Files that earlier runs wrote in OUT, by their path in it, and what each was made of (see `tiler.earlier`).
-
-    Empty where there was no run, or its run.json cannot be read.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of this machine with the run.json of runs from here, which is the newest.
-    products : str
-        Path or URL of OUT: of a run from elsewhere run.json lies there.
-    """
-    try:
-        found = json.loads(read_bytes(str(out / RUN)) or read_bytes(joined(products, RUN)) or b"{}")
-        made_of = found.get("made_of", {})
-        return {
-            **found.get("earlier_outputs", {}),
-            **{path: made_of.get(path) for path in found.get("outputs", {})},
-        }
-    except (OSError, ValueError, TypeError, AttributeError):
-        return {}

@@ -119,7 +119,7 @@ def test_the_same_content_is_the_same_bytes(tmp_path, store):
     first = (tmp_path / "dtm.tif").read_bytes()
     other = tmp_path / "elsewhere"
     other.mkdir()
-    (other / "dtm.tif.cog.partial").write_bytes(b"left by a killed run")
+    (other / ".tiler-dtm.tif.cog.partial").write_bytes(b"left by a killed run")
     two = export(other, filled_store(other, SPEC, hills(SPEC), frame_of("EPSG:25832")), SPEC)
     assert (other / "dtm.tif").read_bytes() == first
     assert one == two

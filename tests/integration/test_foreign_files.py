@@ -1,0 +1,185 @@
+"""What no run of an OUT made is neither replaced nor removed, and what one made is known again."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.invariants import clouds
+from tests.invariants.forked import ended, forked
+from tests.invariants.runs import do, settings
+from tiler.errors import ConfigError
+from tiler.pipeline import run
+from tiler.places import cloud_path, is_scratch, partial_path
+
+NAMES = ("dtm.tif", "run.json", "events.jsonl", "report.html", "classified/hill.laz")
+
+
+@pytest.fixture
+def cloud(tmp_path: Path) -> Path:
+    return clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def put(out: Path, *names: str) -> dict[str, bytes]:
+    """Files of the user; their content."""
+    for name in names:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_bytes(b"mine, not a run's")
+    return content(out)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_first_run_replaces_nothing(name: str, overwrite: bool, cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    before = put(out, name)
+    with pytest.raises(ConfigError, match=rf"-o {out}: {name}: there already, .* or --force"):
+        do(cloud, out, overwrite=overwrite)
+    assert content(out) == before
+
+
+def test_all_of_them_are_named_and_forced(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    put(out, *NAMES, "notes.txt")
+    with pytest.raises(
+        ConfigError, match="dtm.tif, classified/hill.laz, run.json, events.jsonl, report.html: "
+    ):
+        do(cloud, out)
+    assert do(cloud, out, force=True).exit_code == 0
+    assert json.loads((out / "run.json").read_text())["state"] == "done"
+    assert (out / "notes.txt").read_bytes() == b"mine, not a run's"
+    assert do(cloud, out).did_nothing, "now they are known"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[1]", '{"outputs": {"dtm.tif": 1}, "name": "of another program"}']
+)
+def test_a_run_file_that_is_none_of_tiler_lists_nothing(text: str, cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    put(out, "dtm.tif")
+    (out / "run.json").write_text(text)
+    before = content(out)
+    with pytest.raises(ConfigError, match="dtm.tif, run.json: there already"):
+        do(cloud, out)
+    assert content(out) == before
+
+
+@pytest.mark.parametrize("kind", ["folder", "dangling link", "file for a folder"])
+def test_what_is_no_file_is_in_the_way_as_well(kind: str, cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    if kind == "folder":
+        put(out, "dtm.tif/notes.txt")
+    elif kind == "dangling link":
+        (out / "dtm.tif").symlink_to("nowhere")
+    else:
+        put(out, "classified")
+    with pytest.raises(ConfigError, match="(dtm.tif|classified): there already"):
+        do(cloud, out)
+
+
+def test_a_product_that_came_between_two_runs_is_the_users(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    do(cloud, out)
+    before = put(out, "slope.tif", "dsm/dsm_0_0.tif", "dsm/plan.tif")
+    with pytest.raises(ConfigError, match=r"slope\.tif: there already"):
+        do(cloud, out, products="dtm,slope")
+    with pytest.raises(ConfigError, match="dsm/dsm_0_0.tif: there already"):
+        do(cloud, out, products="dsm", sheets="40")
+    assert content(out) == before
+
+
+def test_a_file_that_comes_while_the_run_goes_on_is_not_replaced(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tiler import rasters
+
+    out, export = tmp_path / "out", rasters.cog_tasks
+
+    def meanwhile(*arguments: Any) -> Any:
+        put(out, "dtm.tif")
+        return export(*arguments)
+
+    monkeypatch.setattr(rasters, "cog_tasks", meanwhile)
+    with pytest.raises(ConfigError, match="dtm.tif: there already"):
+        do(cloud, out)
+    assert (out / "dtm.tif").read_bytes() == b"mine, not a run's"
+
+
+@pytest.mark.parametrize("where", ["tiler.job.write_run_file", "tiler.export.cog._publish",
+                                   "tiler.export.classified._write_back", "tiler.rasters._basis"])  # fmt: skip
+def test_a_killed_run_knows_its_own_files(where: str, cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert ended(forked(killed_at, where, cloud, out)) == 9
+    assert do(cloud, out).exit_code == 0
+    assert not [path for path in out.rglob(".tiler-*") if path.is_file()]
+
+
+def killed_at(where: str, cloud: Path, out: Path) -> None:
+    """A run that dies when it first gets somewhere."""
+    import os
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(where, lambda *arguments: os._exit(9))
+        do(cloud, out)
+
+
+def test_a_file_whose_task_fails_stays_the_runs_own(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tiler.errors import ProcessingError
+
+    out = tmp_path / "out"
+    do(cloud, out)
+
+    def fails(*arguments: Any) -> None:
+        raise ProcessingError("no")
+
+    monkeypatch.setattr("tiler.export.classified._write_points", fails)
+    assert do(cloud, out, parameters={"iteration_distance": "1.2"}).exit_code == 5
+    monkeypatch.undo()
+    assert do(cloud, out, parameters={"iteration_distance": "1.2"}).exit_code == 0
+
+
+def test_scratch_has_names_that_no_file_of_the_user_has(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    names = (
+        "dtm.tif.cog.partial",
+        "dtm.tif.plain.partial",
+        "run.json.partial",
+        "classified/hill.laz.partial",
+    )
+    before = put(out, *names)
+    do(cloud, out)
+    assert before.items() <= content(out).items()
+    assert all(
+        is_scratch(partial_path(Path(n), kind).name) for n in (*NAMES, "x" * 250) for kind in ("", "cog")
+    )
+    assert not any(map(is_scratch, names))
+
+
+def test_at_a_url_as_well(cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("upath")
+    monkeypatch.chdir(tmp_path)
+    url = f"memory://{uuid.uuid4().hex}/town"
+    for name in ("dtm.tif", "run.json"):
+        cloud_path(f"{url}/{name}").write_bytes(b"mine")
+    with pytest.raises(ConfigError, match="dtm.tif, run.json: there already"):
+        run([str(cloud)], url, settings())
+    assert not (tmp_path / "town").exists()
+    other = f"memory://{uuid.uuid4().hex}/town"
+    assert run([str(cloud)], other, settings()).exit_code == 0
+    with pytest.raises(ConfigError, match="dtm.tif, run.json: there already"):
+        run([str(cloud)], url, settings())  # what town/run.json lists is elsewhere
+    assert cloud_path(f"{url}/dtm.tif").read_bytes() == b"mine"
+    for path in (tmp_path / "town").iterdir():
+        path.unlink()  # as from another machine
+    assert run([str(cloud)], other, settings()).did_nothing
