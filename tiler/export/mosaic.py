@@ -6,11 +6,15 @@ import os
 from typing import Any
 from xml.etree import ElementTree
 
+import rasterio.shutil
+from affine import Affine
 from rasterio.crs import CRS
+from rasterio.io import MemoryFile
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import RasterSpec
+from tiler.errors import ProcessingError
 from tiler.export.cog import raster_look
 from tiler.export.geotiff import TILE, RasterLook, raster_errors
 from tiler.places import folder_for, partial_path
@@ -39,8 +43,7 @@ def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     whole = _hull([spec for _, spec in sheets])
     root = ElementTree.Element("VRTDataset", rasterXSize=str(whole.width), rasterYSize=str(whole.height))
     if frame.crs_wkt is not None:
-        srs = ElementTree.SubElement(root, "SRS", dataAxisToSRSAxisMapping="1,2")
-        srs.text = CRS.from_user_input(frame.crs_wkt).to_wkt()
+        root.append(_srs(frame.crs_wkt))
     a, b, c, d, e, f = whole.transform(COUNTS_PER_UNIT)
     ElementTree.SubElement(root, "GeoTransform").text = ", ".join(repr(v) for v in (c, a, b, f, d, e))
     _add_metadata(root, {"AREA_OR_POINT": "Area", **args["tags"]})
@@ -59,6 +62,20 @@ def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
                 os.fsync(stream.fileno())
             os.replace(partial, target)
         return {"path": target.name, "bytes": target.stat().st_size}
+
+
+def _srs(crs: str) -> ElementTree.Element:
+    """The element that GDAL itself writes over a file in this CRS: it tells which axis of the CRS columns run along."""
+    profile = {"driver": "GTiff", "width": 1, "height": 1, "count": 1, "dtype": "uint8"}
+    with MemoryFile() as memory, MemoryFile(ext=".vrt") as copy:
+        with memory.open(**profile, crs=CRS.from_user_input(crs), transform=Affine.scale(2.0)):
+            pass
+        with memory.open() as pixel:
+            rasterio.shutil.copy(pixel, copy.name, driver="VRT")
+        found = ElementTree.fromstring(copy.read()).find("SRS")
+    if found is None:
+        raise ProcessingError(f"GDAL cannot write the CRS {crs[:60]} into a VRT; export without --sheets")
+    return found
 
 
 def _hull(specs: list[RasterSpec]) -> RasterSpec:
