@@ -122,7 +122,9 @@ class RunConfig:
     salvage: bool = setting(
         False, "read what is left of a truncated file instead of leaving it out", kind="flag"
     )
-    verify: bool = setting(False, "read the inputs again to see whether they changed", kind="flag")
+    verify: bool = setting(
+        False, "read all inputs and outputs again to see whether they changed", kind="flag"
+    )
     overwrite: bool = setting(False, "start afresh instead of resuming with what OUT holds", kind="flag")
     force: bool = setting(False, "outputs may replace files that no run of this OUT made", kind="flag")
     clean_store: bool = setting(False, "remove the store when the run is done", kind="flag")

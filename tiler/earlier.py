@@ -8,13 +8,15 @@ until the export has dealt with them the files of earlier runs (``earlier_output
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import os
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from tiler.errors import ConfigError, refused_write
+from tiler.identity import contents
 from tiler.job import Job
-from tiler.places import is_url, joined, move_file, sizes_at
+from tiler.places import is_url, joined, move_file, sizes_at, states_at
 from tiler.results import ASIDE
 
 NAMED = 5
@@ -47,19 +49,32 @@ def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
     there = {p: of for p, of in earlier.items() if p not in wanted and _inside(job.products, p)}
     sizes = dict(zip(there, sizes_at([joined(job.products, p) for p in there]), strict=True))
     stale = sorted(path for path, of in there.items() if of != basis and sizes[path] is not None)
-    for path in stale:
-        _move(job.products, path)
     kept = {path: size for path, size in sizes.items() if size is not None and path not in stale}
+    aside = move_aside(job.products, stale)
+    for path in _damaged(job, kept) if job.plan.config.verify else ():
+        del kept[path]
+        text = f"{path}: changed since a run wrote it; moved to {move_aside(job.products, [path])}/"
+        job.note(f"{text}, and not made again: --products does not name it")
     job.facts["outputs"] = kept
+    job.facts["digests"] = {p: d for p, d in job.facts.get("digests", {}).items() if p in kept}
     job.facts["made_of"] = dict.fromkeys(kept, basis)
     job.facts["earlier_outputs"] = dict.fromkeys(wanted)
     if stale:
         more = f" and {len(stale) - NAMED:,} more" if len(stale) > NAMED else ""
         job.note(
             f"{', '.join(stale[:NAMED])}{more}: of an earlier run with other settings or inputs, and not of this one; "
-            f"moved to {ASIDE}/"
+            f"moved to {aside}/"
         )
     job.save("running")
+
+
+def _damaged(job: Job, paths: Collection[str]) -> list[str]:
+    """Those of some files that are not what the run that wrote them noted in run.json."""
+    known = {p: d for p, d in job.facts.get("digests", {}).items() if p in paths}
+    places = {joined(job.products, path): path for path in sorted(known)}
+    states = zip(places, states_at(list(places)), strict=True)
+    found = contents(job, "verify", [(place, s, 0) for place, s in states if s is not None], writes_out=True)
+    return [places[place] for place, result in found if result.get("content") != known[places[place]]]
 
 
 def _refuse_foreign(job: Job, wanted: list[str]) -> None:
@@ -81,8 +96,25 @@ def _inside(out: str, path: str) -> bool:
     return whole.resolve().is_relative_to(Path(out).resolve()) and not whole.is_dir()
 
 
-def _move(out: str, path: str) -> None:
-    source, target = joined(out, path), joined(out, ASIDE, path)
+def move_aside(out: str, paths: Sequence[str]) -> str:
+    """Move files of OUT together into a folder in which none of their names is taken; its path in OUT."""
+    folder, number = ASIDE, 1
+    while _taken(out, [joined(out, folder, path) for path in paths]):
+        number += 1
+        folder = f"{ASIDE}/{number}"
+    for path in paths:
+        _move(out, path, joined(out, folder, path))
+    return folder
+
+
+def _taken(out: str, places: list[str]) -> bool:
+    if is_url(out):
+        return any(size is not None for size in sizes_at(places))
+    return any(os.path.lexists(place) for place in places)
+
+
+def _move(out: str, path: str, target: str) -> None:
+    source = joined(out, path)
     try:
         move_file(source, target)
     except OSError as error:

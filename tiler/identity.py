@@ -6,7 +6,6 @@ its time or the bytes before its points are others than before. So a file that w
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -17,7 +16,7 @@ from tiler.ingest import SourceInfo
 from tiler.job import Job
 from tiler.las.unchanged import refuse_changed
 from tiler.perform import compute
-from tiler.places import State, cloud_path, open_cloud
+from tiler.places import State, cloud_path, digest_of_file
 from tiler.schedule import Task, digest_of
 from tiler.tasks import Source
 
@@ -27,7 +26,8 @@ GROUP_BYTES, GROUP_FILES = 32 << 20, 64
 SAVED_SECONDS = 10.0
 """After which what is known is kept in the store, for a run that is killed on the way."""
 
-_PIECE_BYTES = 1 << 22
+File = tuple[str, State, int]
+"""Place, state as it was found, points."""
 
 
 def numbered(job: Job) -> list[Source]:
@@ -59,34 +59,50 @@ def _identify(
     job: Job, known: dict[str, dict[str, Any]], todo: list[tuple[str, SourceInfo]]
 ) -> dict[str, str]:
     """Have the workers read files, and keep what they find; path -> reason of those that cannot be read."""
-    stamps, unreadable = {place: info.stamp for place, info in todo}, {}
-    tasks = list(_tasks(todo))
-    if not tasks:
-        return {}
-    points, start = sum(task.points for task in tasks), time.monotonic()
-    job.listener("stage_started", {"stage": STAGE, "tasks": len(tasks), "done": 0, "points": points})
-    saved = start
-    for outcome in job.crew.executor().run(compute, job.store.url, tasks):
-        if outcome.again:
-            continue
-        task = outcome.task
-        job.listener("task_done", {"stage": STAGE, "key": task.key, "points": task.points,
-                                   "seconds": round(outcome.seconds, 3), "peak_rss_bytes": 0})  # fmt: skip
-        found: dict[str, dict[str, str]] = outcome.record or {}
-        for place, _ in task.arguments["files"]:
-            result = found.get(
-                place, {"error": f"{place}: what reads it {outcome.error}; get the file again"}
-            )
-            if "content" in result:
-                known[place] |= {"stamp": stamps[place], "content": result["content"]}
-            else:
-                unreadable[place] = result["error"]
+    stamps, unreadable, saved = {place: info.stamp for place, info in todo}, {}, time.monotonic()
+    for place, result in contents(job, STAGE, [(p, info.state, info.points) for p, info in todo]):
+        if "content" in result:
+            known[place] |= {"stamp": stamps[place], "content": result["content"]}
+        else:
+            unreadable[place] = result["error"]
         if time.monotonic() - saved > SAVED_SECONDS:
             job.store.put_state("sources", known)
             saved = time.monotonic()
-    seconds = round(time.monotonic() - start, 3)
-    job.listener("stage_finished", {"stage": STAGE, "seconds": seconds})
     return unreadable
+
+
+def contents(
+    job: Job, stage: str, files: Iterable[File], writes_out: bool = False
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """The place of each file, and its ``content`` (digest of all bytes) or an ``error``, as the workers find it.
+
+    Parameters
+    ----------
+    job : Job
+    stage : str
+        As people are told of it.
+    files : iterable of (place, State, points)
+        Points, or whatever else stands for the work of reading a file.
+    writes_out : bool
+        The files are those of OUT, which not all workers may see.
+    """
+    tasks = list(_tasks(stage, files))
+    if not tasks:
+        return
+    points, start = sum(task.points for task in tasks), time.monotonic()
+    job.listener("stage_started", {"stage": stage, "tasks": len(tasks), "done": 0, "points": points})
+    for outcome in job.crew.executor(writes_out).run(compute, job.store.url, tasks):
+        if outcome.again:
+            continue
+        task = outcome.task
+        job.listener("task_done", {"stage": stage, "key": task.key, "points": task.points,
+                                   "seconds": round(outcome.seconds, 3), "peak_rss_bytes": 0})  # fmt: skip
+        found: dict[str, dict[str, str]] = outcome.record or {}
+        for place, _ in task.arguments["files"]:
+            error = f"{place}: what reads it {outcome.error}; get the file again"
+            yield place, found.get(place, {"error": error})
+    seconds = round(time.monotonic() - start, 3)
+    job.listener("stage_finished", {"stage": stage, "seconds": seconds})
 
 
 def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
@@ -99,23 +115,23 @@ def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
         raise InputError(f"no input could be read; the first: {job.quarantined[0]['error']}")
 
 
-def _tasks(todo: Iterable[tuple[str, SourceInfo]]) -> Iterator[Task]:
+def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:
     """Large files alone, small ones together."""
-    group: list[tuple[str, SourceInfo]] = []
-    for place, info in todo:
-        if group and (len(group) == GROUP_FILES or sum(i.size for _, i in group) + info.size > GROUP_BYTES):
-            yield _task(group)
+    group: list[File] = []
+    for file in files:
+        full = sum(state.size for _, state, _ in group) + file[1].size > GROUP_BYTES
+        if group and (len(group) == GROUP_FILES or full):
+            yield _task(stage, group)
             group = []
-        group.append((place, info))
+        group.append(file)
     if group:
-        yield _task(group)
+        yield _task(stage, group)
 
 
-def _task(group: list[tuple[str, SourceInfo]]) -> Task:
-    files = [[place, info.state.to_json()] for place, info in group]
+def _task(stage: str, group: list[File]) -> Task:
+    files = [[place, state.to_json()] for place, state, _ in group]
     digest = digest_of(files)
-    points = sum(info.points for _, info in group)
-    return Task(STAGE, digest, digest, read_files, {"files": files}, points)
+    return Task(stage, digest, digest, read_files, {"files": files}, sum(points for _, _, points in group))
 
 
 def read_files(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
@@ -132,14 +148,11 @@ def read_files(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
 def _content(path: Path, state: State) -> str:
     """Digest of all bytes of a file that is in this state before and after they are read; raises InputError."""
     refuse_changed(path, state)
-    digest = hashlib.blake2b(digest_size=16)
     try:
-        with open_cloud(path) as stream:
-            while part := stream.read(_PIECE_BYTES):
-                digest.update(part)
+        digest = digest_of_file(path)
     except OSError as error:
         refuse_changed(path, state)
         reason = error.strerror or error
         raise InputError(f"{path}: cannot be read ({reason}); see to the disk and its rights") from error
     refuse_changed(path, state)
-    return digest.hexdigest()
+    return digest

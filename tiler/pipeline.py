@@ -23,7 +23,7 @@ from tiler.places import is_url, joined, put_file
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember
 from tiler.rasters import export, grid
 from tiler.report.html import write_report
-from tiler.results import EVENTS, REPORT, RUN, earlier_outputs, folder_here
+from tiler.results import EVENTS, REPORT, RUN, earlier_digests, earlier_outputs, folder_here
 from tiler.store import TileStore, create_store, open_store, remove_store, store_exists
 
 STAGES = ("ingest", "filter", "grid", "export")
@@ -75,6 +75,7 @@ def run(
         job = Job(plan, out, products, store, listener, lease=lease)
         job.facts["products_at"] = products if is_url(products) else None
         job.facts["earlier_outputs"] = earlier_outputs(out, products)
+        job.facts["digests"] = earlier_digests(out, products)
         job.save("running")  # before any other file, which is known by it as this run's own
         with EventLog(out / EVENTS) as log:
             job.listener = combine(listener, log)

@@ -140,6 +140,15 @@ def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES) -> BinaryIO:
         return cast(BinaryIO, _Guarded(opened))
 
 
+def digest_of_file(path: Path) -> str:
+    """Digest of all bytes of a path or URL; raises OSError."""
+    digest = hashlib.blake2b(digest_size=16)
+    with open_cloud(path) as stream:
+        while part := stream.read(BLOCK_BYTES):
+            digest.update(part)
+    return digest.hexdigest()
+
+
 def second_view(file: BinaryIO, path: Path) -> BinaryIO:
     """The same file once more, with a place of its own; of a URL with the blocks that were asked for already."""
     return cast(BinaryIO, _Guarded(file.shared)) if isinstance(file, _Guarded) else open(path, "rb")
@@ -225,20 +234,25 @@ def names_in(place: str) -> list[str]:
         return []
 
 
-def size_at(place: str) -> int | None:
-    """Bytes of a file at a path or URL; None where there is none."""
+def state_at(place: str) -> State | None:
+    """The state of a file at a path or URL; None where there is none."""
     try:
-        return stat_cloud(cloud_path(place)).st_size
+        return state_of(cloud_path(place))
     except (FileNotFoundError, NotADirectoryError):
         return None
 
 
-def sizes_at(places: Sequence[str]) -> list[int | None]:
-    """`size_at` of many files: of objects several are asked for at a time, as each takes its time to answer."""
+def states_at(places: Sequence[str]) -> list[State | None]:
+    """`state_at` of many files: of objects several are asked for at a time, as each takes its time to answer."""
     if not any(is_url(place) for place in places):
-        return [size_at(place) for place in places]
+        return [state_at(place) for place in places]
     with ThreadPoolExecutor(ASKED_AT_ONCE) as threads:
-        return list(threads.map(size_at, places))
+        return list(threads.map(state_at, places))
+
+
+def sizes_at(places: Sequence[str]) -> list[int | None]:
+    """Bytes of many files at paths or URLs; None where there is none."""
+    return [None if state is None else state.size for state in states_at(places)]
 
 
 def read_bytes(place: str) -> bytes | None:

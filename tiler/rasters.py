@@ -19,10 +19,12 @@ from tiler.earlier import put_aside
 from tiler.errors import ProcessingError
 from tiler.file_tasks import cog_tasks, mosaic_tasks
 from tiler.grid import DEEP_M
+from tiler.intact import take_back_spoilt
 from tiler.job import Job
 from tiler.places import is_url, joined, sizes_at
 from tiler.plan import GRID_BLOCK, KEEP
 from tiler.product_tasks import WHOLE, Gridding, raster_tasks, wanted
+from tiler.results import below
 from tiler.schedule import Task, digest_of
 from tiler.store import Commits
 from tiler.tasks import Assembled, Source, area_key, classified_tasks
@@ -149,7 +151,7 @@ def export(
         tasks += classified_tasks(job.plan, sources, spooled, labels, out)
     mosaics = list(mosaic_tasks(gridding, digest, out))
     basis = _basis(gridding)
-    written = {key: _below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
+    written = {key: below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
     put_aside(job, written.values(), basis)
     rasters = _write(job, "export", tasks, out)
     if mosaics or job.store.committed("mosaic"):
@@ -183,19 +185,15 @@ def _files(tasks: list[Task]) -> dict[str, str]:
     }
 
 
-def _below(out: str, place: str) -> str:
-    return place.removeprefix(out.rstrip("/")).lstrip("/")
-
-
 def _write(job: Job, stage: str, tasks: list[Task], out: str) -> bool:
-    """Write files that are not there; whether all rasters among them are."""
+    """Write files that are not there, or not as they were written; whether all rasters among them are."""
     files = _files(tasks)
-    known = {k: r["bytes"] for k, (_, r) in job.store.committed(stage).items() if k in files}
-    there = sizes_at([files[k] for k in known])
-    gone = [k for k, size in zip(known, there, strict=True) if known[k] != size]
-    job.take_back(stage, gone)
+    take_back_spoilt(job, stage, files)
     written = job.perform(stage, tasks, writes_out=True)
-    job.facts["outputs"] |= {_below(out, files[k]): record["bytes"] for k, (_, record) in written.items()}
+    job.facts["outputs"] |= {below(out, files[k]): record["bytes"] for k, (_, record) in written.items()}
+    job.facts["digests"] |= {
+        below(out, files[k]): record["digest"] for k, (_, record) in written.items() if "digest" in record
+    }
     for _, record in written.values():
         for text in record.get("notes", ()):
             job.note(text)

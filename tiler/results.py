@@ -38,6 +38,22 @@ def read_run(place: str) -> dict[str, Any] | None:
     return found if isinstance(found, dict) and found.keys() >= _KEYS else None
 
 
+def below(out: str, place: str) -> str:
+    """The path in OUT of a file at a path or URL."""
+    return place.removeprefix(out.rstrip("/")).lstrip("/")
+
+
+def _earlier_run(out: Path, products: str) -> dict[str, Any]:
+    """What run.json says of the last run of OUT; empty where there was none, or it is not one that tiler wrote."""
+    at = products.rstrip("/") if is_url(products) else None
+    for place in (str(out), products):
+        found = read_run(place)
+        # A folder here may hold the run.json of results at another URL.
+        if found is not None and (found.get("products_at") or "").rstrip("/") == (at or ""):
+            return found
+    return {}
+
+
 def earlier_outputs(out: Path, products: str) -> dict[str, str | None]:
     """Files that earlier runs wrote in OUT, by their path in it, and what each was made of (see `tiler.earlier`).
 
@@ -50,16 +66,14 @@ def earlier_outputs(out: Path, products: str) -> dict[str, str | None]:
     products : str
         Path or URL of OUT: of a run from elsewhere run.json lies there.
     """
-    at = products.rstrip("/") if is_url(products) else None
-    for place in (str(out), products):
-        found = read_run(place)
-        # A folder here may hold the run.json of results at another URL.
-        if found is not None and (found.get("products_at") or "").rstrip("/") == (at or ""):
-            made_of, earlier, outputs = (
-                _mapping(found, n) for n in ("made_of", "earlier_outputs", "outputs")
-            )
-            return {**earlier, **{path: made_of.get(path) for path in outputs}}
-    return {}
+    found = _earlier_run(out, products)
+    made_of, earlier, outputs = (_mapping(found, n) for n in ("made_of", "earlier_outputs", "outputs"))
+    return {**earlier, **{path: made_of.get(path) for path in outputs}}
+
+
+def earlier_digests(out: Path, products: str) -> dict[str, str]:
+    """Digest of all bytes of the files that earlier runs wrote in OUT, where they noted it."""
+    return _mapping(_earlier_run(out, products), "digests")
 
 
 def foreign_files(

@@ -38,7 +38,7 @@ def store(tmp_path: Path) -> TileStore:
 def numbered(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list[Source], Any]:
     """The sources, and what stood for the run."""
     plan = SimpleNamespace(sources=[inspect(path) for path in paths], config=RunConfig(**settings))
-    crew = SimpleNamespace(executor=SerialExecutor)
+    crew = SimpleNamespace(executor=lambda writes_out: SerialExecutor())
     job: Any = SimpleNamespace(plan=plan, store=store, crew=crew, listener=silent, quarantined=[])
     return identity.numbered(job), job
 

@@ -36,7 +36,7 @@ def test_clouds_are_listed(folder: str) -> None:
 
 def test_any_part_of_an_object_is_read(folder: str) -> None:
     path = places.cloud_path(f"{folder}/a.laz")
-    assert places.stat_cloud(path).st_size == places.size_at(str(path)) == 600
+    assert places.stat_cloud(path).st_size == places.sizes_at([str(path)])[0] == 600
     with places.open_cloud(path) as stream:
         assert stream.seek(250) == 250
         assert stream.read(3) == bytes((50, 51, 52))
@@ -63,13 +63,13 @@ def test_two_views_of_an_object_have_places_of_their_own(folder: str) -> None:
 def test_what_is_written_into_a_url_appears_when_it_is_whole(folder: str) -> None:
     with places.folder_for(f"{folder}/out") as scratch:
         (scratch / "x.tif").write_bytes(b"whole")
-        assert places.size_at(f"{folder}/out/x.tif") is None
-    assert places.size_at(f"{folder}/out/x.tif") == 5
+        assert places.state_at(f"{folder}/out/x.tif") is None
+    assert places.sizes_at([f"{folder}/out/x.tif"]) == [5]
     assert not scratch.exists()
     with suppress(ZeroDivisionError), places.folder_for(f"{folder}/out") as scratch:
         (scratch / "y.tif").write_bytes(b"half")
         raise ZeroDivisionError
-    assert places.size_at(f"{folder}/out/y.tif") is None
+    assert places.state_at(f"{folder}/out/y.tif") is None
     assert not scratch.exists()
 
 
@@ -77,7 +77,7 @@ def test_a_path_is_a_path(tmp_path: Path) -> None:
     assert places.cloud_path(str(tmp_path)) == tmp_path
     with places.folder_for(str(tmp_path)) as folder:
         assert folder == tmp_path
-    assert places.size_at(str(tmp_path / "nowhere")) is None
+    assert places.state_at(str(tmp_path / "nowhere")) is None
     assert places.joined("a/", "b", "c") == "a/b/c"
 
 

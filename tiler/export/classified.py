@@ -27,7 +27,7 @@ from tiler.las.reader import EVERYTHING, PointReader, Records, count_decodable, 
 from tiler.las.records import VariableRecord
 from tiler.las.unchanged import refuse_changed, unchanged
 from tiler.las.writer import PointWriter, laszip_vlr
-from tiler.places import cloud_path, folder_for, open_cloud, partial_path
+from tiler.places import cloud_path, digest_of_file, folder_for, open_cloud, partial_path, state_of
 from tiler.store import TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27
@@ -56,7 +56,7 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     -------
     dict
         ``points``, ``changed`` (points of another class), ``classes`` (class to points, afterwards),
-        ``bytes``, ``notes`` (list of str).
+        ``bytes``, ``digest`` (of all bytes), ``state`` (see `tiler.places.State`), ``notes`` (list of str).
 
     Raises
     ------
@@ -70,7 +70,8 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     place, name = os.path.split(args["out"])
     with unchanged(path, args.get("stamp"), salvage) as header, folder_for(place) as folder:
         header = replace(header, point_count=count_decodable(header))  # as it was read, if salvaged
-        return _write(store, header, args, folder / name)
+        record = _write(store, header, args, folder / name)
+    return {**record, "state": state_of(cloud_path(args["out"])).to_json()}
 
 
 def _write(store: TileStore, header: LasHeader, args: dict[str, Any], out: Path) -> dict[str, Any]:
@@ -87,6 +88,7 @@ def _write(store: TileStore, header: LasHeader, args: dict[str, Any], out: Path)
             target.flush()
             os.fsync(target.fileno())
         refuse_changed(header.path, header.state)
+        digest = digest_of_file(partial)
         os.replace(partial, out)
         _sync_folder(out.parent)
     except OSError as error:
@@ -102,6 +104,7 @@ def _write(store: TileStore, header: LasHeader, args: dict[str, Any], out: Path)
         "changed": record["changed"],
         "classes": record["classes"],
         "bytes": out.stat().st_size,
+        "digest": digest,
         "notes": notes,
     }
 

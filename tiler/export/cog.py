@@ -7,7 +7,6 @@ until the COG is whole; the scratch takes up to 4 bytes a pixel (blocks without 
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 from contextlib import suppress
@@ -26,7 +25,7 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.geotiff import CACHE_MB, TILE, RasterLook, plain_geotiff, raster_errors
-from tiler.places import folder_for, partial_path
+from tiler.places import cloud_path, digest_of_file, folder_for, joined, partial_path, state_of
 from tiler.store import TileStore, open_store
 
 
@@ -88,8 +87,8 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path`` (the file's name), ``bytes``, ``digest`` (BLAKE2b of the file), ``pixels``, ``valid``, and ``min``,
-        ``max``, ``mean`` (None without a valid pixel).
+        ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a `tiler.places.State`),
+        ``pixels``, ``valid``, and ``min``, ``max``, ``mean`` (None without a valid pixel).
 
     Raises
     ------
@@ -98,7 +97,8 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     """
     store, spec = open_store(store_url), RasterSpec.from_json(args["spec"])
     with folder_for(args["out"]) as folder:
-        return _write(store, spec, args, folder / f"{args['name']}.tif")
+        record = _write(store, spec, args, folder / f"{args['name']}.tif")
+    return {**record, "state": state_of(cloud_path(joined(args["out"], record["path"]))).to_json()}
 
 
 def _write(store: TileStore, spec: RasterSpec, args: dict[str, Any], target: Path) -> dict[str, Any]:
@@ -117,7 +117,7 @@ def _write(store: TileStore, spec: RasterSpec, args: dict[str, Any], target: Pat
     return {
         "path": target.name,
         "bytes": target.stat().st_size,
-        "digest": _digest(target),
+        "digest": digest_of_file(target),
         "pixels": spec.height * spec.width,
         "valid": statistics.n,
         "min": statistics.low if found else None,
@@ -210,8 +210,3 @@ def _publish(partial: Path, target: Path) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
-
-
-def _digest(path: Path) -> str:
-    with open(path, "rb") as stream:
-        return hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=16)).hexdigest()

@@ -17,7 +17,7 @@ from tiler.core.raster import RasterSpec
 from tiler.errors import ProcessingError
 from tiler.export.cog import raster_look
 from tiler.export.geotiff import TILE, RasterLook, raster_errors
-from tiler.places import folder_for, partial_path
+from tiler.places import cloud_path, digest_of_file, folder_for, joined, partial_path, state_of
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
@@ -36,7 +36,7 @@ def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path`` (the file's name) and ``bytes``.
+        ``path`` (the file's name), ``bytes``, ``digest`` and ``state``, as `write_cog` gives them.
     """
     frame, product = open_store(store_url).meta.frame, PRODUCTS[args["product"]]
     sheets = [(path, RasterSpec.from_json(spec)) for path, spec in args["sheets"]]
@@ -61,7 +61,8 @@ def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
                 stream.flush()
                 os.fsync(stream.fileno())
             os.replace(partial, target)
-        return {"path": target.name, "bytes": target.stat().st_size}
+        record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
+    return {**record, "state": state_of(cloud_path(joined(args["out"], target.name))).to_json()}
 
 
 def _srs(crs: str) -> ElementTree.Element:

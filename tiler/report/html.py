@@ -13,7 +13,7 @@ from rasterio.errors import RasterioError
 
 from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, refused_write
-from tiler.places import joined, partial_path, size_at
+from tiler.places import joined, partial_path, state_at
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import Node, el, section
 from tiler.report.mapdata import map_data, with_earlier_times
@@ -111,7 +111,7 @@ def _rasters(out: Path, run: Mapping[str, Any]) -> dict[str, str]:
         for kind in ("vrt", "tif")
         if f"{product}.{kind}" in written
     }
-    return {product: raster for product, raster in named.items() if size_at(raster) is not None}
+    return {product: raster for product, raster in named.items() if state_at(raster) is not None}
 
 
 def _colophon(run: Mapping[str, Any]) -> Node:
