@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tiler.core.products import PRODUCTS
@@ -52,8 +52,16 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
     lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")
     lines.extend(f"left out    {q['path']}: {_reason(q)}" for q in summary["quarantined"])
-    lines.extend(f"failed      {f['stage']} {f['key']}: {f['error']}" for f in summary["failed_tasks"])
-    return lines
+    return [*lines, *failed_lines(summary["failed_tasks"])]
+
+
+def failed_lines(failed: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The tasks that failed, as run.json lists them, and where each leaves a hole."""
+    return [f"failed      {f['stage']} {f['key']}{_place(f.get('bounds'))}: {f['error']}" for f in failed]
+
+
+def _place(bounds: Sequence[float] | None) -> str:
+    return "" if bounds is None else f" (--bounds {' '.join(f'{edge:.10g}' for edge in bounds)})"
 
 
 def _dropped(counts: Mapping[str, Any]) -> str:

@@ -37,7 +37,8 @@ def classify_file(
     -------
     dict
         ``points``, ``changed``, ``classes`` (class to points), ``bytes``, ``notes``, ``seconds``, ``method``,
-        ``parameters``, ``tiles``, ``marked``.
+        ``parameters``, ``tiles``, ``marked``, and ``failed_tasks``, as run.json lists them: the points of these keep
+        the classes of the source.
 
     Raises
     ------
@@ -88,10 +89,12 @@ def _classify(
             record = write_classified(store.url, arguments)
         else:  # other fields of the records are decoded now, which may crash where the coordinates did not
             record = read_guarded(guard, _write, source, store.url, arguments)
+    written = {name: record[name] for name in ("points", "changed", "classes", "bytes", "notes")}
     return {
-        **record, "seconds": summary["seconds"], "method": config.method,
+        **written, "seconds": summary["seconds"], "method": config.method,
         "parameters": summary["plan"]["parameters"], "tiles": summary["filter"]["tiles"],
         "marked": summary["filter"]["marked"],
+        "failed_tasks": summary["failed_tasks"],
     }  # fmt: skip
 
 

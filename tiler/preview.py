@@ -49,11 +49,14 @@ class Window:
     bounds : tuple of 4 float
         Lowest x, y, highest x, y in units of the CRS.
     points, ground : int
+    failed : int
+        Tasks that failed: where they did, the picture has a hole.
     """
 
     bounds: Box
     points: int
     ground: int
+    failed: int = 0
 
 
 def make_preview(
@@ -213,7 +216,11 @@ def _window(
     summary = run(paths, out, config, listener, until="grid").summary
     store = open_store(str(out / "store.zarr"))
     ground = summary["filter"]["ground"] if "filter" in summary else summary["counts"]["participating"]
-    return (_shade(store, "dsm"), _shade(store, "dtm")), Window(bounds, summary["counts"]["stored"], ground)
+    failed = summary["failed_tasks"]
+    for task in failed:
+        listener("warning", {"text": f"{task['stage']} {task['key']} failed: {task['error']}"})
+    window = Window(bounds, summary["counts"]["stored"], ground, len(failed))
+    return (_shade(store, "dsm"), _shade(store, "dtm")), window
 
 
 def _shade(store: TileStore, name: str) -> Shade:

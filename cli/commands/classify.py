@@ -7,9 +7,11 @@ from typing import Any
 
 import click
 
+from cli.exit_codes import DONE, PARTIAL
 from cli.options import config_options, json_option, read_config
 from cli.output import print_facts, print_json
 from cli.session import TilerCommand, current_session
+from cli.summary import failed_lines
 
 SETTINGS = (
     "method", "parameters", "sigma", "tile_size", "halo", "memory", "workers", "units", "keep_classes",
@@ -22,11 +24,12 @@ SETTINGS = (
 @click.argument("target", metavar="OUT.laz", type=click.Path())
 @config_options(only=SETTINGS)
 @json_option
-def command(source: str, target: str, as_json: bool, **settings: Any) -> None:
+def command(source: str, target: str, as_json: bool, **settings: Any) -> int:
     """One file to one classified file, with no store left behind.
 
     OUT.laz gets the points of IN in the same order, with new classes. Needs no CRS: where IN has none, its
-    coordinates are taken for metres, or for what --units says.
+    coordinates are taken for metres, or for what --units says. Where a tile fails its points keep the classes of IN:
+    the tile is named, and the exit code is 5.
     """
     config = read_config(settings)
     from tiler.classify import classify_file
@@ -38,4 +41,7 @@ def command(source: str, target: str, as_json: bool, **settings: Any) -> None:
     if as_json:
         print_json(facts)
     elif not session.quiet:
-        print_facts({name: value for name, value in facts.items() if name != "parameters"})
+        print_facts({n: value for n, value in facts.items() if n not in ("parameters", "failed_tasks")})
+        for line in failed_lines(facts["failed_tasks"]):
+            click.echo(line)
+    return PARTIAL if facts["failed_tasks"] else DONE

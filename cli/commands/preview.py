@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from cli.exit_codes import DONE, PARTIAL
 from cli.options import SETTINGS, config_options, inputs_argument, json_option, read_config
 from cli.output import print_json
 from cli.session import TilerCommand, current_session
@@ -32,7 +33,7 @@ WITHOUT = (
 @json_option
 def command(
     inputs: tuple[str, ...], out: str, windows: int, size: str | None, as_json: bool, **settings: Any
-) -> None:
+) -> int:
     """A picture of what the settings give, in seconds.
 
     Takes a few windows of the clouds at full density, does with each what `tiler run` would do with these
@@ -58,3 +59,4 @@ def command(
             click.echo(
                 f"  --bounds {x0:.0f} {y0:.0f} {x1:.0f} {y1:.0f}: {window.points:,} points, {share} ground"
             )
+    return PARTIAL if any(window.failed for window in found) else DONE

@@ -119,7 +119,9 @@ def test_classify(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
     def classify_file(source: str, target: str, config: RunConfig, listener: Any) -> dict[str, Any]:
         listener("note", {"text": "metres assumed"})
         assert (source, target, config) == ("a.las", "b.laz", RunConfig(keep_classes=()))
-        return {"points": 7, "parameters": {"rounds": 1}}
+        return {"points": 7, "parameters": {"rounds": 1}, "failed_tasks": failed}
+
+    failed: list[dict[str, Any]] = []
 
     monkeypatch.setattr("tiler.classify.classify_file", classify_file)
     assert main(["classify", "a.las", "b.laz", "--keep-classes", ""]) == 0
@@ -127,6 +129,14 @@ def test_classify(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
     assert (captured.out, captured.err) == ("points  7\n", "metres assumed\n")
     assert main(["classify", "a.las", "b.laz", "--keep-classes", "", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["parameters"] == {"rounds": 1}
+    failed.append(
+        {"stage": "filter0", "key": "t+1-2", "error": "no memory", "bounds": [0.0, 5.4e6, 64.5, 5400064.0]}
+    )
+    assert main(["classify", "a.las", "b.laz", "--keep-classes", ""]) == 5
+    assert capsys.readouterr().out.splitlines()[1:] == [
+        "failed      filter0 t+1-2 (--bounds 0 5400000 64.5 5400064): no memory"
+    ]
+    assert main(["classify", "a.las", "b.laz", "--keep-classes", "", "--json"]) == 5
 
 
 def test_methods_tells_every_parameter(capsys: pytest.CaptureFixture[str]) -> None:

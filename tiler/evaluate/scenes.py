@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any
 
 from tiler.config import RunConfig
 from tiler.core.units import METRE
-from tiler.errors import ConfigError
+from tiler.errors import ConfigError, ProcessingError
 from tiler.evaluate.clouds import Findings, compare_files
 from tiler.evaluate.labels import IGNORED, mean_scores
 from tiler.evaluate.maps import ErrorGrid, write_error_map
@@ -210,9 +210,20 @@ def filter_and_evaluate(
         scenes, filtered = [], []
         for number, scene in enumerate(find_scenes(clouds, clouds)):
             target = Path(scratch) / f"{number}.laz"
-            filtered.append(classify_file(scene.reference, target, blind, listener))
+            made = classify_file(scene.reference, target, blind, listener)
+            _refuse_failed(scene, made["failed_tasks"])
+            filtered.append(made)
             scenes.append(Scene(scene.name, target, scene.reference))
         facts = evaluate_scenes(scenes, ignore, maps)
     for result, made in zip(facts["scenes"], filtered, strict=True):
         result |= {"cloud": result["reference"], "seconds": made["seconds"]}
     return {**facts, "method": config.method, "parameters": filtered[0]["parameters"]}
+
+
+def _refuse_failed(scene: Scene, failed: Sequence[Mapping[str, Any]]) -> None:
+    """Raise ProcessingError where a tile failed: its points have their true classes still."""
+    if failed:
+        raise ProcessingError(
+            f"{scene.reference}: not scored, as {len(failed)} of its tasks failed ({failed[0]['stage']} "
+            f"{failed[0]['key']}: {failed[0]['error']}); its points there have their true classes"
+        )
