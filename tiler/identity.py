@@ -48,11 +48,14 @@ def numbered(job: Job) -> list[Source]:
     unreadable = _identify(job, known, todo)
     job.store.put_state("sources", known)
     _leave_out(job, unreadable)
-    return [
+    sources = [
         Source(info, known[place]["number"], known[place]["content"])
         for place, info in places.items()
         if info.points and place not in unreadable
     ]
+    if not sources:  # the plan refuses what has no points at all: one that had some cannot be read now
+        raise InputError(f"no input could be read; the first: {min(unreadable.values())}")
+    return sources
 
 
 def _identify(
@@ -110,9 +113,7 @@ def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
         if job.plan.config.on_error == "stop" or len(job.plan.sources) == 1:
             raise InputError(reason)
         job.quarantined.append({"path": place, "error": reason})
-        job.listener("warning", {"text": f"{place}: left out: {reason}"})
-    if len(unreadable) == len(job.plan.sources):
-        raise InputError(f"no input could be read; the first: {job.quarantined[0]['error']}")
+        job.listener("warning", {"text": f"{place}: left out: {reason.removeprefix(f'{place}: ')}"})
 
 
 def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:

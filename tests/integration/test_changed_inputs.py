@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.invariants import clouds
@@ -156,3 +158,23 @@ def test_a_piece_that_is_decoded_again_is_of_the_same_file(
     result = do([good, path], out, keep_classes="7")
     assert result.exit_code == 5
     assert [q["path"] for q in result.summary["quarantined"]] == [str(path)]
+
+
+def test_an_empty_file_and_one_that_went_away(
+    files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is left holds no point: no input could be read, though one of them could."""
+    path = files[1]
+    empty = clouds.write(tmp_path / "in" / "empty.las", clouds.city(96.0).take(np.zeros(0, np.intp)))
+    for name, module, work in (
+        ("read_files", identity, identity.read_files),
+        ("spool_piece", tasks, spool_piece),
+    ):
+        aside = tmp_path / "aside.las"
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, before_the_first(work, functools.partial(path.rename, aside)))
+            with pytest.raises(
+                InputError, match=r"^no input could be read; the first: .*east\.las: .*went away"
+            ):
+                do([empty, path], tmp_path / name)
+        aside.rename(path)
