@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, inputs_argument, json_option, out_option, read_config
-from cli.output import print_json
+from cli.output import print_json, say
 from cli.session import TilerCommand, current_session
 from cli.summary import summary_lines
 
@@ -23,7 +23,6 @@ def job_command(name: str, help: str, until: str = "export") -> click.Command:
     @json_option
     def command(inputs: tuple[str, ...], out: str, as_json: bool, **settings: Any) -> int:
         config = read_config(settings)
-        from tiler.observe.logs import printable
         from tiler.observe.progress import open_progress
         from tiler.pipeline import run
 
@@ -34,7 +33,7 @@ def job_command(name: str, help: str, until: str = "export") -> click.Command:
             print_json(result.summary)
         elif not session.quiet:
             for line in summary_lines(result.summary, out, result.did_nothing):
-                click.echo(printable(line))
+                say(line)
         return result.exit_code
 
     return command

@@ -14,10 +14,10 @@ from typing import Any, NoReturn
 import click
 
 from cli import exit_codes
+from cli.output import say
 from cli.session import Session
 from tiler import __version__
 from tiler.errors import TilerError
-from tiler.observe.logs import printable
 
 COMMANDS = {
     "run": "The whole job: clouds to a DTM and classified clouds.",
@@ -130,13 +130,14 @@ def _interrupt(number: int, frame: object) -> NoReturn:
 def _end(error: BaseException, session: Session) -> int:
     """Say on stderr what ended the command, in one line; the exit code."""
     if session.verbosity >= 2:
-        traceback.print_exception(error)
+        for line in "".join(traceback.format_exception(error)).splitlines():
+            say(line, error=True)
     if isinstance(error, KeyboardInterrupt | click.Abort):
         rest = "; the same command goes on where it was" if session.resumes else ""
-        click.echo(f"tiler: interrupted{rest}", err=True)
+        say(f"tiler: interrupted{rest}", error=True)
         return exit_codes.INTERRUPTED
     text, code = _line_and_code(error)
-    click.echo(f"tiler: error: {printable(' '.join(text.split()))}", err=True)
+    say(f"tiler: error: {' '.join(text.split())}", error=True)
     return code
 
 

@@ -10,13 +10,26 @@ from typing import Any
 
 import click
 
+from tiler.shown import shown, stored, without_secrets
+
 SHARES = (0.3, 0.75, 1.5)
 """Shares of the median density at which the shades of a map end."""
 
 
+def say(line: str, error: bool = False) -> None:
+    """Write one line to stdout, or to stderr: the one way out for text, which may hold what a file says of itself.
+
+    Nothing in it can move or colour the terminal, and no URL shows a password or token.
+    """
+    encoding = (sys.stderr if error else sys.stdout).encoding or "utf-8"
+    click.echo(shown(line).encode(encoding, "backslashreplace").decode(encoding), err=error)
+
+
 def print_json(value: Any) -> None:
-    """Indented JSON."""
-    click.echo(json.dumps(value, indent=2, default=str, ensure_ascii=False))
+    """Indented JSON; what is not printable is written as its escapes."""
+    text = json.dumps(stored(value), indent=2, default=lambda v: without_secrets(str(v)), ensure_ascii=False)
+    for line in text.split("\n"):
+        say("".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line))
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -26,21 +39,22 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         from rich.markup import escape
         from rich.table import Table
 
-        table = Table(*columns, title=escape(title), title_justify="left")
+        table = Table(*columns, title=escape(shown(title)), title_justify="left")
         for row in rows:
-            table.add_row(*(escape(cell) for cell in row))
+            table.add_row(*(escape(shown(cell)) for cell in row))
         Console().print(table)
         return
+    rows = [[shown(cell) for cell in row] for row in rows]
     widths = [max(len(line[i]) for line in (columns, *rows)) for i in range(len(columns))]
-    click.echo(title)
+    say(title)
     for line in (columns, *rows):
-        click.echo(("  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True))).rstrip())
+        say(("  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True))).rstrip())
 
 
 def print_facts(facts: Mapping[str, Any]) -> None:
     """One line a fact, names aligned, nested facts below theirs; facts that are None are left out."""
     for line in fact_lines(facts):
-        click.echo(line)
+        say(line)
 
 
 def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:

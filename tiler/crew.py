@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from tiler.access import Access
-from tiler.places import is_url
+from tiler.places import location
 from tiler.plan import Plan
 from tiler.schedule import Executor, Limits, Machine, make_executor
 from tiler.store import store_exists
@@ -77,7 +77,7 @@ def _look_at_workers(
     plan: Plan, executor: Executor, store_url: str | None, products: str | None
 ) -> tuple[Access, list[Machine]]:
     """Judge the workers of a cluster, now and as they join, and the memory of their machines."""
-    sources = [(str(s.path if is_url(s.path) else s.path.resolve()), s.state) for s in plan.sources]
+    sources = [(location(s.path), s.state) for s in plan.sources]
     there = store_url is not None and store_exists(store_url)
     access = Access(str(plan.config.scheduler), sources, store_url, products, there)
     executor.on_each_worker(access)

@@ -7,6 +7,8 @@ import os
 import shutil
 from pathlib import Path
 
+from tiler.shown import without_secrets
+
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 _NEXT_TO_NOTHING_BYTES = 1 << 20
 
@@ -17,6 +19,10 @@ class TilerError(Exception):
     exit_code = 4
     again = False
     """A task that ended with it may be tried again: what is wrong could have been passing."""
+
+    def __init__(self, *parts: object) -> None:
+        # Messages name URLs, and reach terminals, files and other machines: here is the one place that all pass.
+        super().__init__(*(without_secrets(part) if isinstance(part, str) else part for part in parts))
 
 
 class ConfigError(TilerError):

@@ -16,8 +16,9 @@ from tiler.ingest import SourceInfo
 from tiler.job import Job
 from tiler.las.unchanged import refuse_changed
 from tiler.perform import compute
-from tiler.places import State, cloud_path, digest_of_file
+from tiler.places import State, cloud_path, digest_of_file, location
 from tiler.schedule import Task, digest_of
+from tiler.shown import without_secrets
 from tiler.tasks import Source
 
 STAGE = "identify"
@@ -39,7 +40,8 @@ def numbered(job: Job) -> list[Source]:
         One cannot be read, and there is no other or ``--on-error stop`` was said.
     """
     known: dict[str, dict[str, Any]] = job.store.get_state("sources") or {}
-    places = {str(info.path.resolve()): info for info in job.plan.sources}
+    # Without passwords and tokens: a link that is signed anew each day leads to the same file.
+    places = {without_secrets(location(info.path)): info for info in job.plan.sources}
     todo = []
     for place, info in places.items():
         entry = known.setdefault(place, {"number": len(known)})
@@ -63,7 +65,9 @@ def _identify(
 ) -> dict[str, str]:
     """Have the workers read files, and keep what they find; path -> reason of those that cannot be read."""
     stamps, unreadable, saved = {place: info.stamp for place, info in todo}, {}, time.monotonic()
-    for place, result in contents(job, STAGE, [(p, info.state, info.points) for p, info in todo]):
+    files = [(location(info.path), info.state, info.points) for _, info in todo]
+    for url, result in contents(job, STAGE, files):
+        place = without_secrets(url)
         if "content" in result:
             known[place] |= {"stamp": stamps[place], "content": result["content"]}
         else:

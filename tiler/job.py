@@ -24,6 +24,7 @@ from tiler.plan import Plan, plan_json
 from tiler.report import write_run_file
 from tiler.results import RUN
 from tiler.schedule import Outcome, Task
+from tiler.shown import stored
 from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 
 LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
@@ -217,8 +218,8 @@ class Job:
         return [v / COUNTS_PER_UNIT for v in hull.to_json()]
 
     def save(self, state: str) -> dict[str, Any]:
-        """Write run.json and return its content."""
-        content = {
+        """Write run.json and return its content; no URL in it has a password or token."""
+        content: dict[str, Any] = stored({
             "state": state, "version": __version__, "configuration": self.plan.config.to_json(),
             "plan": plan_json(self.plan), "libraries": _libraries(),
             "written": datetime.now(UTC).isoformat(timespec="seconds"), "notes": self.notes,
@@ -226,7 +227,7 @@ class Job:
             "stages": self.stages, "quarantined": self.quarantined, "failed_tasks": self.failed,
             "peak_rss_bytes": max([peak_rss_bytes(), *(s["peak_rss_bytes"] for s in self.stages.values())]),
             **self.facts,
-        }  # fmt: skip
+        })  # fmt: skip
         write_run_file(self.out, content)
         if is_url(self.products):  # a run from elsewhere knows by it whose files these are
             put_file(self.out / RUN, joined(self.products, RUN))

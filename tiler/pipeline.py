@@ -18,7 +18,7 @@ from tiler.identity import numbered
 from tiler.job import Job, RunResult
 from tiler.labels import filter_points
 from tiler.observe.eventlog import EventLog
-from tiler.observe.events import Listener, combine, silent
+from tiler.observe.events import Listener, combine, discreet, silent
 from tiler.places import is_url, joined, put_file
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember
 from tiler.rasters import export, grid
@@ -72,13 +72,13 @@ def run(
         remove_store(url)
     plan, store = _frozen(plan, url)
     with store.lock() as lease, _copied(out, products):
-        job = Job(plan, out, products, store, listener, lease=lease)
+        job = Job(plan, out, products, store, discreet(listener), lease=lease)
         job.facts["products_at"] = products if is_url(products) else None
         job.facts["earlier_outputs"] = earlier_outputs(out, products)
         job.facts["digests"] = earlier_digests(out, products)
         job.save("running")  # before any other file, which is known by it as this run's own
         with EventLog(out / EVENTS) as log:
-            job.listener = combine(listener, log)
+            job.listener = discreet(combine(listener, log))
             result = _locked_run(job, until, started)
     if config.clean_store and until == "export":
         remove_store(url)
@@ -139,7 +139,7 @@ def _report(job: Job) -> dict[str, Any]:
     job.facts["report"] = REPORT
     summary = job.save("done")
     try:
-        write_report(job.out, summary)
+        write_report(job.out, summary, job.products)
     except Exception as error:  # noqa: BLE001 - whatever it is: the results are there
         text = f"{REPORT} could not be drawn: {error}; `tiler report {job.out}` tries again"
         job.listener("warning", {"text": text})

@@ -13,6 +13,7 @@ from glob import has_magic
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, cast
+from urllib.parse import urlsplit
 
 from tiler.errors import ConfigError, refused_write
 
@@ -33,6 +34,7 @@ def cloud_path(text: str | Path) -> Path:
     """A path, or what behaves as one for a URL (``s3://bucket/town.laz``); ConfigError where no library knows it."""
     if not is_url(text):
         return Path(text)
+    refuse_unescaped(str(text))
     try:
         from upath import UPath
 
@@ -41,6 +43,21 @@ def cloud_path(text: str | Path) -> Path:
         raise ConfigError(
             f"{text}: cannot be read ({error}); copy it here, or install 'tiler-dtm[cloud]'"
         ) from error
+
+
+def location(path: Path) -> str:
+    """The text with which a path or URL is opened from anywhere, with what its URL holds of passwords and tokens."""
+    return str(path) if is_url(path) else str(path.resolve())
+
+
+def refuse_unescaped(url: str) -> None:
+    """Raise ConfigError for a URL whose password breaks it apart: libraries would tell its pieces in their errors."""
+    try:
+        urlsplit(url.rpartition("::")[2]).port  # noqa: B018 - it is the reading that fails
+    except ValueError:
+        raise ConfigError(
+            f"{url}: no valid URL; in its user and password write / as %2F, ? as %3F, # as %23, @ as %40, % as %25"
+        ) from None
 
 
 LONGEST_NAME = 255

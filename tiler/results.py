@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.places import is_url, joined, names_in, read_bytes, sizes_at
+from tiler.shown import without_secrets
 
 RUN, EVENTS, REPORT = "run.json", "events.jsonl", "report.html"
 CLASSIFIED = "classified"
@@ -26,7 +27,9 @@ _KEYS = frozenset(("state", "version", "configuration", "plan", "stages"))
 
 def folder_here(products: str) -> Path:
     """The folder of this machine for run.json, the log and the report: OUT, or one of the last name of its URL."""
-    return Path(products.rstrip("/").rpartition("/")[2] if is_url(products) else products)
+    if not is_url(products):
+        return Path(products)
+    return Path(without_secrets(products).rstrip("/").rpartition("/")[2])
 
 
 def read_run(place: str) -> dict[str, Any] | None:
@@ -45,7 +48,7 @@ def below(out: str, place: str) -> str:
 
 def _earlier_run(out: Path, products: str) -> dict[str, Any]:
     """What run.json says of the last run of OUT; empty where there was none, or it is not one that tiler wrote."""
-    at = products.rstrip("/") if is_url(products) else None
+    at = without_secrets(products).rstrip("/") if is_url(products) else None
     for place in (str(out), products):
         found = read_run(place)
         # A folder here may hold the run.json of results at another URL.

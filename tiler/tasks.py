@@ -31,7 +31,7 @@ from tiler.ingest import (
     pieces,
     spool_piece,
 )
-from tiler.places import joined
+from tiler.places import joined, location
 from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
 from tiler.store import Commits
@@ -84,7 +84,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
             key = f"{source.name}-{start:012d}"
             identity = digest_of(source.identity, source.number, start, count, extent, plan.meta.to_json())
             arguments = {
-                "path": str(source.info.path.resolve()), "source": source.number, "piece": key, "start": start,
+                "path": location(source.info.path), "source": source.number, "piece": key, "start": start,
                 "count": count, "wanted": wanted, "salvage": plan.config.salvage, "extent": extent,
                 "identity": identity, "stamp": source.info.stamp,
             }  # fmt: skip
@@ -295,7 +295,7 @@ def classified_tasks(
         extent = claimed_bounds(source.info)
         whole = plan.area is None or (extent is not None and plan.area.covers(extent))
         arguments = {
-            "path": str(source.info.path.resolve()), "source": source.number,
+            "path": location(source.info.path), "source": source.number,
             "out": joined(out, "classified", str(plan.names[source.info.path])), "labels": LABELS,
             "cells": [[c.ix, c.iy] for c in cells], "salvage": plan.config.salvage,
             "area": None if whole else area_key(plan),

@@ -10,7 +10,7 @@ import click
 
 from cli import exit_codes
 from cli.options import json_option
-from cli.output import print_json, print_table
+from cli.output import print_json, print_table, say
 from cli.session import TilerCommand
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError
@@ -100,9 +100,9 @@ def _print_report(report: Mapping[str, Any]) -> None:
         unit = " m" if METRICS[requirement["name"]].is_length else ""
         value = "not measured" if requirement["value"] is None else f"{requirement['value']:.4g}{unit}"
         state = "met" if requirement["met"] else "NOT met"
-        click.echo(f"required {requirement['name']} {requirement['limit']:g}{unit}: {value}, {state}")
+        say(f"required {requirement['name']} {requirement['limit']:g}{unit}: {value}, {state}")
     for path in report["figures"]:
-        click.echo(f"drawn   {path}")
+        say(f"drawn   {path}")
 
 
 def _print_accuracy(facts: Mapping[str, Any]) -> None:
@@ -110,14 +110,14 @@ def _print_accuracy(facts: Mapping[str, Any]) -> None:
     rows += [(name, *_figures(figures)) for name, figures in facts["land_cover"].items()]
     print_table(f"DTM minus checkpoint, {facts['unit']}", HEADINGS, rows)
     if facts["outside"] or facts["no_height"]:
-        click.echo(
+        say(
             f"without a height: {facts['outside']} outside the DTM, {facts['no_height']} where it has no data"
         )
     asprs = facts["asprs"]
     few = f"{facts['nva']['points']} NVA checkpoints, {asprs['least_points']} are needed"
-    click.echo(asprs["statement"] or f"no statement by the ASPRS standards: {few}")
+    say(asprs["statement"] or f"no statement by the ASPRS standards: {few}")
     for note in facts["notes"]:
-        click.echo(f"note    {note}")
+        say(f"note    {note}")
 
 
 def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
@@ -147,7 +147,7 @@ def _print_seams(facts: Mapping[str, Any]) -> None:
 
 def _print_strips(facts: Mapping[str, Any]) -> None:
     if not facts["pairs"]:
-        click.echo(f"strips  none to compare: {len(facts['strips'])} point source ids, no cell with two")
+        say(f"strips  none to compare: {len(facts['strips'])} point source ids, no cell with two")
         return
     keys = ("rmse", "bias", "median", "nmad", "p95_abs")
     rows = [

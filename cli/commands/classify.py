@@ -9,7 +9,7 @@ import click
 
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import config_options, json_option, read_config
-from cli.output import print_facts, print_json
+from cli.output import print_facts, print_json, say
 from cli.session import TilerCommand, current_session
 from cli.summary import failed_lines
 
@@ -43,5 +43,5 @@ def command(source: str, target: str, as_json: bool, **settings: Any) -> int:
     elif not session.quiet:
         print_facts({n: value for n, value in facts.items() if n not in ("parameters", "failed_tasks")})
         for line in failed_lines(facts["failed_tasks"]):
-            click.echo(line)
+            say(line)
     return PARTIAL if facts["failed_tasks"] else DONE

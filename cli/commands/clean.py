@@ -7,14 +7,16 @@ from pathlib import Path
 import click
 
 from cli.options import json_option
-from cli.output import print_json
+from cli.output import print_json, say
 from cli.session import TilerCommand
 
 
 @click.command("clean", cls=TilerCommand)
 @click.argument("out", type=click.Path(path_type=Path), metavar="OUT")
 @click.option(
-    "--store", metavar="URL", help="where the store lies [default: as OUT/run.json says, or OUT/store.zarr]"
+    "--store",
+    metavar="URL",
+    help="where the store lies [default: as OUT/run.json says (without password or token of a URL), or OUT/store.zarr]",
 )
 @json_option
 def command(out: Path, store: str | None, as_json: bool) -> None:
@@ -30,5 +32,5 @@ def command(out: Path, store: str | None, as_json: bool) -> None:
     if as_json:
         print_json(found)
         return
-    click.echo(f"removed  {found['removed_objects']} objects, {found['removed_bytes'] / 1e6:,.1f} MB")
-    click.echo(f"store    {found['store_bytes'] / 1e6:,.1f} MB")
+    say(f"removed  {found['removed_objects']} objects, {found['removed_bytes'] / 1e6:,.1f} MB")
+    say(f"store    {found['store_bytes'] / 1e6:,.1f} MB")

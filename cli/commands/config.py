@@ -8,10 +8,12 @@ from typing import Any
 import click
 
 from cli.options import SETTINGS, config_options, describe_setting, read_config
+from cli.output import say
 from cli.session import TilerCommand
 from tiler.config import RunConfig
 from tiler.errors import ConfigError
 from tiler.presets import preset_text
+from tiler.shown import without_secrets
 
 HEAD = (
     "# Settings of tiler, for --config; options of the command line win. What is commented out has no value."
@@ -30,6 +32,10 @@ def command(template: bool, **settings: Any) -> None:
     preset's file comes first. Order: options win over --config, --config over --preset, --preset over defaults.
     """
     config = read_config(settings)
+    if config.store is not None and config.store != without_secrets(config.store):
+        say(
+            "tiler: warning: store: without its user, password and query, which are shown nowhere", error=True
+        )
     lines = [HEAD, *_preset_lines(config.preset), ""]
     for name in (n for n in SETTINGS if n != LAST):
         if template:
@@ -38,7 +44,8 @@ def command(template: bool, **settings: Any) -> None:
         if template:
             lines.append("")
     lines.extend(_parameter_lines(config, template))
-    click.echo("\n".join(lines))
+    for line in "\n".join(lines).split("\n"):
+        say(line)
 
 
 def _preset_lines(name: str | None) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, json_option, read_config
-from cli.output import print_json
+from cli.output import print_json, say
 from cli.session import TilerCommand, current_session
 from cli.summary import score_lines, summary_lines
 
@@ -50,5 +50,5 @@ def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
         print_json(result.to_json())
     elif not session.quiet:
         for line in (*summary_lines(result.summary, out), *score_lines(result.classes, result.dtm)):
-            click.echo(line)
+            say(line)
     return result.exit_code

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, json_option, read_config
-from cli.output import print_json, print_table
+from cli.output import print_json, print_table, say
 from cli.session import TilerCommand, current_session
 from cli.summary import dtm_lines, percent_text, score_lines
 from tiler.core.units import parse_length
@@ -91,7 +91,7 @@ def command(
         _print_scores(facts)
     if dtm is not None:
         for line in dtm_lines(facts["dtm"]):
-            click.echo(line)
+            say(line)
 
 
 def _score(
@@ -117,7 +117,7 @@ def _score(
 def _print_scores(facts: Mapping[str, Any]) -> None:
     """The scores of all points, by class, and of each scene where there are several."""
     for line in score_lines(facts):
-        click.echo(line)
+        say(line)
     rows = [
         (code, f"{c['points']:,}", f"{c['labelled_ground']:,}", percent_text(c["error"]))
         for code, c in facts["classes"].items()
@@ -131,4 +131,4 @@ def _print_scores(facts: Mapping[str, Any]) -> None:
         columns = ("scene", "points", "type I", "type II", "total", "kappa", "F1")
         print_table("by scene", columns, lines)
     for path in (path for scene in scenes for path in scene["maps"]):
-        click.echo(f"map     {path}")
+        say(f"map     {path}")

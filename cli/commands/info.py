@@ -7,7 +7,7 @@ import sys
 import click
 
 from cli.options import json_option
-from cli.output import map_lines, print_facts, print_json
+from cli.output import map_lines, print_facts, print_json, say
 from cli.session import TilerCommand
 
 
@@ -30,4 +30,4 @@ def command(path: str, as_json: bool) -> None:
         print_facts(facts)
         if density is not None:
             for line in map_lines(density, sys.stdout.encoding):
-                click.echo(line)
+                say(line)

@@ -10,7 +10,7 @@ import click
 
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import SETTINGS, config_options, inputs_argument, json_option, read_config
-from cli.output import print_json
+from cli.output import print_json, say
 from cli.session import TilerCommand, current_session
 from cli.summary import percent_text
 
@@ -52,11 +52,9 @@ def command(
     if as_json:
         print_json({"picture": out, "windows": [dataclasses.asdict(window) for window in found]})
     elif not session.quiet:
-        click.echo(f"{out}: surface above, terrain below; from left to right:")
+        say(f"{out}: surface above, terrain below; from left to right:")
         for window in found:
             x0, y0, x1, y1 = window.bounds
             share = percent_text(window.ground / window.points)
-            click.echo(
-                f"  --bounds {x0:.0f} {y0:.0f} {x1:.0f} {y1:.0f}: {window.points:,} points, {share} ground"
-            )
+            say(f"  --bounds {x0:.0f} {y0:.0f} {x1:.0f} {y1:.0f}: {window.points:,} points, {share} ground")
     return PARTIAL if any(window.failed for window in found) else DONE

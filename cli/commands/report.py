@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from cli.output import say
 from cli.session import TilerCommand
 
 
@@ -18,7 +19,6 @@ def command(out: Path) -> None:
     and OUT/evaluate.json hold (`tiler check ... --json > OUT/check.json`, `tiler evaluate ... --json >
     OUT/evaluate.json`). One file, which loads nothing: send it, or print it.
     """
-    from tiler.observe.logs import printable
     from tiler.report.html import write_report
 
-    click.echo(printable(str(write_report(out))))
+    say(str(write_report(out)))

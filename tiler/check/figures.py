@@ -22,6 +22,7 @@ from tiler.errors import InputError
 from tiler.export.geotiff import raster_errors
 from tiler.export.picture import png_bytes
 from tiler.places import partial_path
+from tiler.shown import shown
 
 WIDTH = 760
 HEIGHT = 420
@@ -76,13 +77,17 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, An
 def _drawing(width: float, height: float, title: str, parts: Sequence[str]) -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" '
-        f'height="{height:.0f}"><title>{escape(title)}</title><style>{_STYLE}</style>'
+        f'height="{height:.0f}"><title>{_escaped(title)}</title><style>{_STYLE}</style>'
         f'<rect width="100%" height="100%" fill="#fff"/>{"".join(parts)}</svg>\n'
     )
 
 
+def _escaped(text: str) -> str:
+    return escape(shown(text))
+
+
 def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{_escaped(text)}</text>'
 
 
 def histogram(accuracy: Mapping[str, Any]) -> str:
@@ -156,7 +161,7 @@ def point_map(dtm: Path, accuracy: Mapping[str, Any]) -> str:
         outline = ' class="out"' if point["outlier"] else ' stroke="#fff"'
         parts.append(
             f'<circle cx="{column:.1f}" cy="{row:.1f}" r="6" fill="{_colour(difference, largest)}"{outline}>'
-            f"<title>{escape(point['name'])} ({escape(kind)}): {told}</title></circle>"
+            f"<title>{_escaped(point['name'])} ({_escaped(kind)}): {told}</title></circle>"
         )
     legend = f"DTM minus checkpoint: blue below, red above, full at {largest:.3f} {accuracy['unit']}; outliers ringed"
     parts.append(_text(8, height + 20, legend, "start"))

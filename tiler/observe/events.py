@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from tiler.shown import stored
+
 Listener = Callable[[str, dict[str, Any]], None]
 """Called with the event's name and JSON-able fields.
 
@@ -27,3 +29,8 @@ def combine(*listeners: Listener) -> Listener:
             listener(event, fields)
 
     return tell_all
+
+
+def discreet(listener: Listener) -> Listener:
+    """A listener that is told everything but the passwords and tokens of URLs."""
+    return lambda event, fields: listener(event, stored(fields))

@@ -5,15 +5,10 @@ from __future__ import annotations
 import logging
 import sys
 
+from tiler.shown import shown
+
 _LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
 _OWN_LOGGERS = ("tiler", "ptd", "cli")
-
-
-def printable(text: str) -> str:
-    """The text in one line that no file name can break, colour or move: what is not printable is written as escapes."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class _StderrHandler(logging.Handler):
@@ -23,7 +18,7 @@ class _StderrHandler(logging.Handler):
         text = self.format(record)
         if record.name == "py.warnings":  # several lines, the last of them source code
             text = " ".join(text.split())
-        print(printable(text), file=sys.stderr, flush=True)
+        print(shown(text), file=sys.stderr, flush=True)
 
 
 def set_up_logging(verbosity: int) -> None:

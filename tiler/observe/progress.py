@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import IO, Any
 
 from tiler.observe.events import Listener
-from tiler.observe.logs import printable
+from tiler.shown import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
 TOLD_BY_FILE = "spool"
@@ -77,7 +77,7 @@ class _PlainLines:
         self._last_line = clock()
 
     def _write(self, text: str) -> None:
-        print(printable(text), file=self._stream, flush=True)
+        print(shown(text), file=self._stream, flush=True)
         self._last_line = self._clock()
 
     def __call__(self, event: str, fields: dict[str, Any]) -> None:
@@ -162,9 +162,9 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 
         def listen(event: str, fields: dict[str, Any]) -> None:
             if event in ("note", "warning"):
-                bars.console.print(printable(message_text(event, fields)), markup=False, highlight=False)
+                bars.console.print(shown(message_text(event, fields)), markup=False, highlight=False)
             elif event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
-                bars.console.print(printable(failure_text(fields)), markup=False, highlight=False)
+                bars.console.print(shown(failure_text(fields)), markup=False, highlight=False)
             elif event == "stage_started":
                 stage = _stage_of(fields, time.monotonic())
                 bar = bars.add_task(stage.name, total=1.0, rate="")

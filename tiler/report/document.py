@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 from xml.etree import ElementTree
 
-from tiler.observe.logs import printable
+from tiler.shown import shown
 
 Node = ElementTree.Element
 Content = Node | str | None
@@ -22,15 +22,15 @@ Content = Node | str | None
 
 def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
     """An element; None among the children is left out, ``class_`` is ``class``, ``data_x`` is ``data-x``."""
-    names = {name.rstrip("_").replace("_", "-"): printable(str(value)) for name, value in attributes.items()}
+    names = {name.rstrip("_").replace("_", "-"): shown(str(value)) for name, value in attributes.items()}
     node = Node(tag, names)
     for child in children:
         if isinstance(child, Node):
             node.append(child)
         elif child is not None and len(node):
-            node[-1].tail = (node[-1].tail or "") + printable(child)
+            node[-1].tail = (node[-1].tail or "") + shown(child)
         elif child is not None:
-            node.text = (node.text or "") + printable(child)
+            node.text = (node.text or "") + shown(child)
     return node
 
 

@@ -21,7 +21,7 @@ from tiler.report.pictures import draw
 from tiler.results import REPORT
 
 
-def write_report(out: Path, run: Mapping[str, Any] | None = None) -> Path:
+def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str | None = None) -> Path:
     """Write ``OUT/report.html``; it appears when it is whole.
 
     Parameters
@@ -30,6 +30,8 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None) -> Path:
         The result folder of a run.
     run : mapping, optional
         The content of its run.json, which is read if it is not given.
+    products : str, optional
+        Where the rasters lie; default: what run.json says, which has no passwords and tokens of URLs.
 
     Returns
     -------
@@ -45,7 +47,7 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None) -> Path:
     """
     content = _read_run(out) if run is None else run
     try:
-        page = _page(out, content)
+        page = _page(out, content, products or content.get("products_at") or str(out))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(
             f"{out / 'run.json'}: not what this version of tiler writes ({type(error).__name__}: {error}); run again"
@@ -81,9 +83,9 @@ def _read_run(out: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid JSON ({error}); run the same command again") from error
 
 
-def _page(out: Path, run: Mapping[str, Any]) -> bytes:
+def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     run = with_earlier_times(run, out)
-    pictures = draw(_rasters(out, run), run)
+    pictures = draw(_rasters(products, run), run)
     check = accuracy.read_measured(out, accuracy.CHECK)
     evaluation = accuracy.read_measured(out, accuracy.EVALUATION)
     title = f"Terrain of {out.resolve().name}"
@@ -102,9 +104,9 @@ def _page(out: Path, run: Mapping[str, Any]) -> bytes:
     return document.page(title, sections.header(run, title), parts, map_data(run, pictures, check))
 
 
-def _rasters(out: Path, run: Mapping[str, Any]) -> dict[str, str]:
+def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
     """Product -> path or URL of what this run wrote: one raster, or the VRT over its sheets."""
-    written, place = run.get("outputs", {}), run.get("products_at") or str(out)
+    written = run.get("outputs", {})
     named = {
         product: joined(place, f"{product}.{kind}")
         for product in PRODUCTS

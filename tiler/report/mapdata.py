@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
+from tiler.shown import shown
 
 MOST_TILES = 20_000
 """On the map, of all stages together: a page of 5 MB holds no more. Stages that do not fit are left out whole."""
@@ -76,7 +77,8 @@ def map_data(
         "stages": _stages(run),
         "files": _files(run),
         "checkpoints": [
-            [p["name"], p["x"], p["y"], p["difference"], p["outlier"]] for p in checked.get("differences", ())
+            [shown(str(p["name"])), p["x"], p["y"], p["difference"], p["outlier"]]
+            for p in checked.get("differences", ())
         ],
         "checkpoint_unit": checked.get("unit", ""),
         "checkpoint_range": (checked.get("all") or {}).get("p95_abs") or 1.0,
@@ -129,4 +131,4 @@ def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _files(run: Mapping[str, Any]) -> list[list[Any]]:
     """Name and bounds of the clouds that were read."""
     inputs = [i for i in run.get("inputs", ()) if i.get("bounds")][:MOST_FILES]
-    return [[Path(i["path"]).name, *(i["bounds"][k] for k in (0, 1, 3, 4))] for i in inputs]
+    return [[shown(Path(i["path"]).name), *(i["bounds"][k] for k in (0, 1, 3, 4))] for i in inputs]

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from tiler.shown import stored
+
 Work = Callable[[str, dict[str, Any]], dict[str, Any]]
 """``work(store_url, arguments) -> record``: a module-level function (it travels by name); both JSON-able."""
 
@@ -139,6 +141,8 @@ class Executor(Protocol):
 
 
 def digest_of(*parts: Any) -> str:
-    """A short stable digest of JSON-able values (keys sorted)."""
+    """A short stable digest of JSON-able values (keys sorted); another password or token in a URL changes nothing."""
     text = json.dumps(parts, sort_keys=True, separators=(",", ":"))
+    if ":/" in text:
+        text = json.dumps(stored(parts), sort_keys=True, separators=(",", ":"))
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -22,6 +22,8 @@ from zarr.core.sync import sync
 from zarr.storage import FsspecStore, LocalStore
 
 from tiler.errors import ConfigError, ProcessingError, StoreError, refused_write
+from tiler.places import refuse_unescaped
+from tiler.shown import stored
 
 # Parallelism is over processes: one thread decodes here. The requests of one read still overlap, which is
 # what an object store needs and what costs nothing on a local disk.
@@ -66,6 +68,7 @@ class Storage:
         if self.root is not None:
             self.zarr_store = LocalStore(self.root)
         else:
+            refuse_unescaped(url)
             try:
                 self.zarr_store = FsspecStore.from_url(url)
             except (ImportError, ValueError) as error:
@@ -163,7 +166,7 @@ class Storage:
         return Usage(len(sizes), sum(sizes))
 
     def put_json(self, key: str, body: Any) -> None:
-        """Write a JSON-able value with the checksum of its text."""
+        """Write a JSON-able value with the checksum of its text; URLs in it lose passwords and tokens."""
         self.put(key, _sealed(body))
 
     def put_json_new(self, key: str, body: Any) -> None:
@@ -195,6 +198,8 @@ def failed_write(url: str, key: str, error: OSError) -> ProcessingError:
 
 def _sealed(body: Any) -> bytes:
     text = _canonical(body)
+    if ":/" in text:  # else there is no URL in it
+        text = _canonical(stored(body))
     return f'{{"crc32": {zlib.crc32(text.encode())}, "body": {text}}}'.encode()
 
 

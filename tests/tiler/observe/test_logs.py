@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tiler.observe.logs import printable, set_up_logging
+from tiler.observe.logs import set_up_logging
 
 
 @pytest.fixture(autouse=True)
@@ -64,9 +64,3 @@ def test_warnings_of_libraries_are_one_line(capsys: pytest.CaptureFixture[str]) 
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "UserWarning: first second" in error
-
-
-def test_no_name_breaks_a_line_or_moves_a_cursor() -> None:
-    assert (
-        printable("a\nb \x1b[2J gr\udcfcn gr\u00fcn \u202e") == "a\\nb \\x1b[2J gr\\udcfcn gr\u00fcn \\u202e"
-    )
