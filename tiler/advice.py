@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.core.raster import NODATA, Block, RasterSpec, north_west
 from tiler.ingest import SourceInfo
 from tiler.roofs import WIDEST_M, roofs
 from tiler.store import TileStore
@@ -79,7 +79,9 @@ def _looks_matched(source: SourceInfo, density: float) -> bool:
     )
 
 
-def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: float) -> str | None:
+def roofs_in_terrain(
+    store: TileStore, name: str, spec: RasterSpec, filled: Iterable[Block], building_m: float
+) -> str | None:
     """A warning if the terrain holds what looks like a roof too wide for ``max_building_size``.
 
     Parameters
@@ -88,6 +90,8 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
     name : str
         Raster of the terrain.
     spec : RasterSpec
+    filled : iterable of Block
+        That hold heights: nothing else is looked at.
     building_m : float
         The method's largest building, metres.
     """
@@ -96,7 +100,10 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
     times = max(int(ROOF_CELL_M / pixel), 1)
     core, pad = PART_CELLS * times, math.ceil(REACH_M / pixel / times) * times
     widest, where = 0.0, None
-    for block in spec.blocks(core):
+    parts = {
+        part for block in filled for part in spec.blocks_within(spec.block_bounds(_wider(block, pad)), core)
+    }
+    for block in sorted(parts, key=north_west):
         top, left = max(block.row - pad, 0), max(block.col - pad, 0)
         bottom = min(block.row + block.height + pad, spec.height)
         right = min(block.col + block.width + pad, spec.width)
@@ -113,6 +120,10 @@ def roofs_in_terrain(store: TileStore, name: str, spec: RasterSpec, building_m: 
         f"the terrain holds what looks like a roof {widest:.0f} m wide, at x {x:.0f}, y {y:.0f}, and max_building_size "
         f"is {building_m:g} m; if it is one, use --set max_building_size={wanted}"
     )
+
+
+def _wider(block: Block, pad: int) -> Block:
+    return Block(block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad)
 
 
 def _place(spec: RasterSpec, row: int, col: int) -> tuple[float, float]:

@@ -79,7 +79,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
     if not commits:
         raise ProcessingError(f"no bucket could be written; the first: {job.failed[0]['error']}")
     area = job.plan.area
-    if area is not None and area.bounds.intersection(assembled.bounds()).empty:
+    if area is not None and area.bounds.intersection(assembled.bounds).empty:
         raise InputError("no point of the clouds lies in the area, though some lie near it; name another")
     job.store.publish_index({c: BucketInfo(r["n"], r["n_candidates"]) for c, r in assembled.records.items()})
     within = sum(r["duplicates"]["within"] for r in assembled.records.values())

@@ -66,8 +66,9 @@ def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: St
 
 def _keep_classes(job: Job, task: Task) -> None:
     """The points of a tile that failed have no label: not that of an earlier run, either."""
-    buckets = job.store.buckets()
-    for cell in (Cell(*indices) for indices in task.arguments["cells"]):
+    cells = [Cell(*indices) for indices in task.arguments["cells"]]
+    buckets = job.store.buckets_within(job.plan.meta.bucket.hull(cells))
+    for cell in cells:
         job.store.write_labels(task.arguments["labels_out"], cell, np.zeros(buckets[cell].n, np.uint8))
 
 

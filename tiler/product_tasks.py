@@ -17,8 +17,9 @@ from tiler import __version__
 from tiler.config import RunConfig
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.products import PRODUCTS
-from tiler.core.raster import Block, RasterSpec
+from tiler.core.raster import Block, RasterSpec, north_west
 from tiler.grid import (
+    blocks_of,
     density_block,
     derive_block,
     distance_block,
@@ -82,14 +83,14 @@ class Gridding:
     @property
     def coarse(self) -> RasterSpec:
         """Coarse cells of the run."""
-        size, bounds = self.coarse_m, self.assembled.bounds()
+        size, bounds = self.coarse_m, self.assembled.bounds
         return RasterSpec.covering(Lattice(self.plan.meta.frame.counts(size)), bounds)
 
     @property
     def coarse_m(self) -> Fraction:
         """Metres of a coarse cell."""
         size = max(self.plan.config.max_edge / COARSE_SHARE, self.plan.resolution)
-        area = self.assembled.bounds().area() * self.plan.meta.frame.metres_xy**2
+        area = self.assembled.bounds.area() * self.plan.meta.frame.metres_xy**2
         while area / size**2 > MAX_COARSE_CELLS:
             size *= 2
         return size
@@ -141,10 +142,9 @@ def raster_tasks(name: str, g: Gridding) -> Iterator[Task]:
     return _point_tasks(name, g)
 
 
-def _near(g: Gridding, spec: RasterSpec, block: Block, reach: int = 0) -> list[Cell]:
-    """Buckets within ``reach`` counts of a block."""
-    window = spec.block_bounds(block).pad(reach)
-    return [cell for cell in g.plan.meta.bucket.cells(window) if cell in g.labels]
+def _near(g: Gridding, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
+    """Blocks within ``reach`` counts of buckets, each with these."""
+    return spec.blocks_near(g.plan.meta.bucket, g.labels, GRID_BLOCK, reach)
 
 
 def _of_block(block: Block) -> list[int]:
@@ -157,10 +157,7 @@ def _point_tasks(name: str, g: Gridding) -> Iterator[Task]:
     common = {"name": name, "spec": spec.to_json(), **ground_arguments(g.plan), **special}
     reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))
     below = [special["terrain"]] if "terrain" in special else []
-    for block in spec.blocks(GRID_BLOCK):
-        near = _near(g, spec, block, reach)
-        if not near:
-            continue
+    for block, near in _near(g, spec, reach).items():
         arguments = {**common, "block": _of_block(block)}
         under = [
             g.made[raster][block.name][1]["checksum"] for raster in below if block.name in g.made[raster]
@@ -181,7 +178,7 @@ def _point_arguments(name: str, g: Gridding) -> tuple[dict[str, Any], int]:
     if name == "dsm":
         reach = reach_pixels(plan.resolution)
         arguments = {
-            "data": g.assembled.bounds().to_json(), "max_edge": str(limit), "reach": reach,
+            "data": g.assembled.bounds.to_json(), "max_edge": str(limit), "reach": reach,
             "spike": str(plan.config.spike / frame.metres_z), "halo": math.ceil(frame.counts(plan.grid_halo)),
             "terrain": final("dtm", plan.config),
         }  # fmt: skip
@@ -193,7 +190,7 @@ def _survey_task(g: Gridding) -> Iterator[Task]:
     coarse = g.coarse
     arguments = {
         "name": "survey", "spec": coarse.to_json(), "occupancy": "occupancy",
-        "bridge": float(g.plan.config.max_edge / g.coarse_m),
+        "bridge": float(g.plan.config.max_edge / g.coarse_m), "pixels": g.spec.to_json(),
     }  # fmt: skip
     digest = digest_of(__version__, arguments, checksums(g.made["occupancy"]))
     yield Task("grid-survey", WHOLE, digest, survey_raster, arguments, coarse.height * coarse.width)
@@ -217,21 +214,24 @@ def _fill_tasks(name: str, g: Gridding) -> Iterator[Task]:
         "name": name, "heights": model, "spec": spec.to_json(), "survey": "survey", "coarse": coarse.to_json(),
         "numbers": f"{model}-voids",
     }  # fmt: skip
-    covers = [coarse.block_bounds(Block(*box)) for box in boxes]
-    pixel = math.ceil(spec.lattice.size)
     voids_of: dict[str, list[int]] = defaultdict(list)
-    for number, cover in enumerate(covers):
-        for block in spec.blocks_within(cover, GRID_BLOCK):
-            voids_of[block.name].append(number)
-    for block in spec.blocks(GRID_BLOCK):
-        mine = voids_of.get(block.name, [])
-        seen = [checksums(g.made["survey"]), checksums(found) if mine else []]
-        reach = [covers[number].pad(2 * pixel) for number in mine]
-        near = {b.name for cover in reach for b in spec.blocks_within(cover, GRID_BLOCK)} | {block.name}
-        seen += [[[key, g.made[model][key][1]["checksum"]]] for key in sorted(near & g.made[model].keys())]
+    rims: list[str] = []
+    for number, runs in enumerate(found[WHOLE][1]["blocks"] if WHOLE in found else []):
+        near = [block.name for block in blocks_of(runs, spec, GRID_BLOCK)]
+        for key in near:
+            voids_of[key].append(number)
+        rims.append(
+            digest_of([[key, g.made[model][key][1]["checksum"]] for key in near if key in g.made[model]])
+        )
+    survey, numbers = checksums(g.made["survey"]), checksums(found)
+    for key in sorted(voids_of.keys() | g.made[model].keys()):
+        mine = voids_of.get(key, [])
+        own = g.made[model][key][1]["checksum"] if key in g.made[model] else None
+        block = spec.block_named(key, GRID_BLOCK)
         arguments = {**common, "block": _of_block(block), "voids": [[n + 1, *boxes[n]] for n in mine]}
+        seen = [own, survey, [numbers, *(rims[n] for n in mine)] if mine else []]
         digest = digest_of(__version__, arguments, seen)
-        yield Task(f"grid-{name}", block.name, digest, fill_block, arguments, block.height * block.width)
+        yield Task(f"grid-{name}", key, digest, fill_block, arguments, block.height * block.width)
 
 
 def _mask_tasks(g: Gridding) -> Iterator[Task]:
@@ -242,14 +242,19 @@ def _mask_tasks(g: Gridding) -> Iterator[Task]:
     }  # fmt: skip
     survey = checksums(g.made["survey"])
     erode = math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))
-    for block in spec.blocks(GRID_BLOCK):
-        bounds = spec.block_bounds(block)
-        holes = [hole.to_json() for hole in g.holes if hole.overlaps(bounds)]
-        arguments = {**common, "block": _of_block(block), "holes": holes}
+    near = _near(g, spec, erode)
+    holes: dict[Block, list[list[int]]] = defaultdict(list)
+    for hole in g.holes:
+        for block in spec.blocks_within(hole, GRID_BLOCK):
+            holes[block].append(hole.to_json())
+    inside = blocks_of(g.made["survey"][WHOLE][1]["blocks"], spec, GRID_BLOCK)
+    made = (spec.block_named(key, GRID_BLOCK) for raster in ("dtm", heights) for key in g.made[raster])
+    for block in sorted({*near, *holes, *inside, *made}, key=north_west):
+        arguments = {**common, "block": _of_block(block), "holes": holes.get(block, [])}
         rasters = [
             g.made[name][block.name][1]["checksum"] for name in ("dtm", heights) if block.name in g.made[name]
         ]
-        seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in _near(g, spec, block, erode)]
+        seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in near.get(block, [])]
         digest = digest_of(__version__, arguments, survey, rasters, seen)
         yield Task("grid-mask", block.name, digest, mask_block, arguments, block.height * block.width)
 
@@ -259,9 +264,8 @@ def _derived_tasks(name: str, g: Gridding) -> Iterator[Task]:
     spec = g.spec
     sources = {model: final(model, g.plan.config) for model in DERIVED[name]}
     common = {"name": name, "product": name, "spec": spec.to_json(), "fill": g.fill_of(name), **sources}
-    for block in spec.blocks(GRID_BLOCK):
-        if any(block.name not in g.made[source] for source in sources.values()):
-            continue
+    keys = set.intersection(*(set(g.made[source]) for source in sources.values()))
+    for block in sorted((spec.block_named(key, GRID_BLOCK) for key in keys), key=north_west):
         arguments = {**common, "block": _of_block(block)}
         seen = [_around(g.made[source], block) for source in sources.values()]
         digest = digest_of(__version__, arguments, seen)

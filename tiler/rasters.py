@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,14 +13,15 @@ from ptd.warm import warm_gridding
 from tiler.advice import roofs_in_terrain
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
-from tiler.core.products import MASK_VALUES
+from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.raster import RasterSpec
 from tiler.earlier import put_aside
 from tiler.errors import ProcessingError
-from tiler.file_tasks import cog_tasks, mosaic_tasks
-from tiler.grid import DEEP_M
+from tiler.file_tasks import Inputs, cog_tasks, mosaic_tasks
+from tiler.grid import DEEP_M, blank_blocks
 from tiler.intact import take_back_spoilt
 from tiler.job import Job
+from tiler.perform import compute
 from tiler.places import is_url, joined, sizes_at
 from tiler.plan import GRID_BLOCK, KEEP
 from tiler.product_tasks import WHOLE, Gridding, raster_tasks, wanted
@@ -31,6 +32,8 @@ from tiler.tasks import Assembled, Source, area_key, classified_tasks
 
 RASTERS = (".tif", ".vrt")
 """Files of rasters among what is written; their tasks have the names of the files as keys."""
+BLANK_BLOCKS = 256
+"""Blocks of an earlier run that one task removes."""
 
 
 def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
@@ -41,11 +44,11 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
         gridding.made[name] = _raster(job, gridding, name, tasks)
         if name == "dtm":
             _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
-            _advise(job, gridding.spec)
+            _advise(job, gridding.spec, gridding.made[name])
     if "dsm" in gridding.made:
         _tell_of_surface(job, gridding.made["dsm"])
     if "mask" in gridding.made:
-        _tell_of_mask(job, gridding.made["mask"])
+        _tell_of_mask(job, gridding.spec, gridding.made["mask"])
     return gridding
 
 
@@ -60,18 +63,14 @@ def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commi
     stage, spec, fill = f"grid-{name}", gridding.spec_of(name), gridding.fill_of(name)
     done, stale = job.sorted_out(stage, tasks)
     job.take_back(stage, stale)
-    filled = [b for b in spec.blocks(GRID_BLOCK) if b.name in done and done[b.name][1].get("filled")]
-    lost = {block.name for block in job.store.missing_blocks(name, filled)} if filled else set()
-    if lost:
-        job.note(f"{len(lost)} blocks of {name} are gone from the store; they are made again")
-    job.take_back(stage, lost)
-    done = {key: commit for key, commit in done.items() if key not in lost}
     job.store.create_raster(name, spec.height, spec.width, fill)
-    if job.store.get_state(f"raster-{name}") and WHOLE not in done:
-        # An earlier run wrote blocks that this one may not write again.
-        for block in spec.blocks(GRID_BLOCK):
-            if block.name not in done:
-                job.store.write_block(name, block, np.full((block.height, block.width), fill, np.float32))
+    if WHOLE not in done:
+        stored = {spec.block_at(*place, GRID_BLOCK).name for place in job.store.stored_blocks(name)}
+        lost = {key for key, (_, record) in done.items() if record.get("filled")} - stored
+        if lost:
+            job.note(f"{len(lost)} blocks of {name} are gone from the store; they are made again")
+        job.take_back(stage, lost)
+        _blank(job, name, spec, stored - done.keys())
     job.store.put_state(f"raster-{name}", spec.to_json())
     how: Literal["linear", "natural"] = "natural" if job.plan.config.interpolation == "natural" else "linear"
     made = job.perform(stage, tasks, functools.partial(warm_gridding, how))
@@ -80,14 +79,27 @@ def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commi
     return made
 
 
-def _advise(job: Job, spec: RasterSpec) -> None:
+def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None:
+    """Have the workers remove blocks that an earlier run wrote: this one may not write them again."""
+    blocks, tasks = [spec.block_named(key, GRID_BLOCK) for key in sorted(keys)], []
+    for start in range(0, len(blocks), BLANK_BLOCKS):
+        some = [[b.row, b.col, b.height, b.width] for b in blocks[start : start + BLANK_BLOCKS]]
+        digest = digest_of(name, some)
+        tasks.append(Task("blank", digest, digest, blank_blocks, {"name": name, "blocks": some}))
+    for outcome in job.crew.executor().run(compute, job.store.url, tasks) if tasks else ():
+        if outcome.record is None and not outcome.again:
+            raise ProcessingError(f"{name}: blocks of an earlier run cannot be removed: {outcome.error}")
+
+
+def _advise(job: Job, spec: RasterSpec, made: Commits) -> None:
     """Look for roofs in the terrain, where a parameter of the method could have kept them out of it."""
     building = job.plan.parameters.get("max_building_size_m")
     if building is None:
         return
     found = job.store.get_state("advice")
     if job.stages["grid-dtm"]["computed"] or not found or found["building_m"] != building:
-        text = roofs_in_terrain(job.store, "dtm", spec, building)
+        filled = (spec.block_named(key, GRID_BLOCK) for key, (_, record) in made.items() if record["filled"])
+        text = roofs_in_terrain(job.store, "dtm", spec, filled, building)
         found = {"building_m": building, "texts": [] if text is None else [text]}
         job.store.put_state("advice", found)
     job.facts["advice"] = found["texts"]
@@ -106,8 +118,9 @@ def _tell_of_surface(job: Job, made: Mapping[str, Any]) -> None:
         )
 
 
-def _tell_of_mask(job: Job, made: Mapping[str, Any]) -> None:
+def _tell_of_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
     totals = np.sum([record["values"] for _, record in made.values()], axis=0).tolist()
+    totals[OUTSIDE] += spec.height * spec.width - sum(record["pixels"] for _, record in made.values())
     job.facts["mask"] = {text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()}
 
 
@@ -144,7 +157,7 @@ def export(
     """The files that people open."""
     out, config = job.products, job.plan.config
     digest = digest_of(sorted(source.content for source in sources))
-    tasks = list(cog_tasks(gridding, digest, out))
+    tasks = list(cog_tasks(gridding, Inputs.of(sources, spooled), digest, out))
     for folder in {task.arguments["out"] for task in tasks if not is_url(out)}:
         Path(folder).mkdir(exist_ok=True)
     if config.method != KEEP:

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Any
 
 from ptd.methods import METHODS
@@ -187,6 +187,7 @@ class Assembled:
                 records[cell], digests[cell] = bucket, digest
         return cls(dict(sorted(records.items())), digests)
 
+    @cached_property
     def bounds(self) -> Bounds:
         """Bounds of all stored points, absolute counts."""
         found = [Bounds.from_json(r["bounds"]) for r in self.records.values() if r["bounds"]]
@@ -213,7 +214,7 @@ def filter_tasks(
         }  # fmt: skip
         sight = plan.meta.bucket.hull(tile.cells).pad(tile.max_halo + beyond)
         digests = before if reads else assembled.digests
-        seen = [[c.ix, c.iy, digests[c]] for c in plan.meta.bucket.cells(sight) if c in digests]
+        seen = [[c.ix, c.iy, digests[c]] for c in plan.meta.bucket.among(sight, digests)]
         points = sum(assembled.records[c]["n"] for c in tile.cells)
         digest = digest_of(__version__, arguments, seen)
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, arguments, points)
@@ -234,7 +235,7 @@ def area_key(plan: Plan) -> str | None:
 
 def raster_spec(plan: Plan, assembled: Assembled) -> RasterSpec:
     """The one pixel grid of the run: all stored points within the area, pixels on multiples of the resolution."""
-    extent = assembled.bounds()
+    extent = assembled.bounds
     if plan.area is not None:
         extent = extent.intersection(plan.area.bounds)
     return RasterSpec.covering(Lattice(plan.meta.frame.counts(plan.resolution)), extent)
@@ -260,17 +261,13 @@ def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], nam
     )
     reach = full_halo(max_edge) + math.ceil(frame.counts(plan.config.erode))
     common = {
-        "name": name, "spec": spec.to_json(), "data": assembled.bounds().to_json(), **ground_arguments(plan),
+        "name": name, "spec": spec.to_json(), "data": assembled.bounds.to_json(), **ground_arguments(plan),
         "max_edge": str(max_edge), "halo": math.ceil(frame.counts(plan.grid_halo)),
         "max_halo": full_halo(max_edge),
         "interpolation": plan.config.interpolation, "percent": percent,
         "thin_cell": None if share is None else str(frame.counts(plan.resolution / share)),
     }  # fmt: skip
-    for block in spec.blocks(GRID_BLOCK):
-        window = spec.block_bounds(block).pad(reach)
-        near = [cell for cell in plan.meta.bucket.cells(window) if cell in labels]
-        if not near:
-            continue
+    for block, near in spec.blocks_near(plan.meta.bucket, labels, GRID_BLOCK, reach).items():
         seen = [[cell.ix, cell.iy, labels[cell]] for cell in near]
         arguments = {**common, "block": [block.row, block.col, block.height, block.width]}
         # In how many parts a block is done changes nothing: it is no part of the digest.

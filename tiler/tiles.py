@@ -92,7 +92,7 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
     lattice = plan.meta.bucket
     column = "n_candidates" if not step.every_point and nested(plan.candidate_cell_m) else "n"
     window = lattice.hull(cells).pad(halo)
-    held = [records[cell][column] for cell in lattice.cells(window) if cell in records]
+    held = [records[cell][column] for cell in lattice.among(window, records)]
     area = len(held) * plan.bucket_m**2
     bucket = max(records[cell]["n"] for cell in cells)
     return int(BASE_BYTES + filter_bytes(sum(held), area, plan.candidate_cell_m, step) + bucket_bytes(bucket))

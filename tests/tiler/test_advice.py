@@ -45,12 +45,12 @@ def test_a_roof_in_the_terrain_of_a_store(
     for block in spec.blocks(512):
         part = heights[block.row : block.row + block.height, block.col : block.col + block.width]
         store.write_block("dtm", block, part)
-    text = roofs_in_terrain(store, "dtm", spec, 20.0)
+    text = roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 20.0)
     assert text is not None
     assert text.startswith("the terrain holds what looks like a roof 60 m wide")
     assert "x 500130, y 5399890" in text
     assert text.endswith("max_building_size is 20 m; if it is one, use --set max_building_size=80")
-    assert roofs_in_terrain(store, "dtm", spec, 80.0) is None
+    assert roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 80.0) is None
 
 
 @pytest.fixture

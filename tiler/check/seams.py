@@ -24,7 +24,7 @@ from scipy.ndimage import maximum_filter1d
 
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
-from tiler.evaluate.heights import BLOCK, horizontal_unit, read_heights, vertical_unit
+from tiler.evaluate.heights import blocks_with_files, horizontal_unit, read_heights, vertical_unit
 
 BLOCK_PIXELS = 512
 """Side of the blocks in which a run makes its rasters, counted from the north-west corner."""
@@ -208,13 +208,11 @@ def _pairs(raster: Any, edges: TileEdges) -> Iterator[Pairs]:
     transform, (height, width) = raster.transform, raster.shape
     columns = _marks(transform.c, transform.a, width, edges)
     rows = _marks(transform.f, transform.e, height, edges)
-    for row in range(0, height, BLOCK):
-        for col in range(0, width, BLOCK):
-            high, wide = min(BLOCK, height - row), min(BLOCK, width - col)
-            along = read_heights(raster, row, col - 2, high, wide + 3)
-            yield _differences(along, {k: m[None, col : col + wide] for k, m in columns.items()})
-            down = read_heights(raster, row - 2, col, high + 3, wide).T
-            yield _differences(down, {k: m[None, row : row + high] for k, m in rows.items()})
+    for row, col, high, wide in blocks_with_files(raster):
+        along = read_heights(raster, row, col - 2, high, wide + 3)
+        yield _differences(along, {k: m[None, col : col + wide] for k, m in columns.items()})
+        down = read_heights(raster, row - 2, col, high + 3, wide).T
+        yield _differences(down, {k: m[None, row : row + high] for k, m in rows.items()})
 
 
 def _differences(heights: Floats, marks: dict[str, Bools]) -> Pairs:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import reduce
@@ -74,6 +74,11 @@ class Cell:
         return f"{self.ix:+03d}{self.iy:+03d}"
 
 
+def row_by_row(cell: Cell) -> tuple[int, int]:
+    """Sorts cells row by row from the south-west."""
+    return cell.iy, cell.ix
+
+
 @dataclass(frozen=True)
 class Lattice:
     """Square cells of ``size`` counts (an exact fraction), cell 0 starting at absolute count 0.
@@ -112,12 +117,27 @@ class Lattice:
         )
 
     def cells(self, bounds: Bounds) -> Iterator[Cell]:
-        """Every cell that holds a count of ``bounds``, row by row from the south-west."""
+        """Every cell that holds a count of ``bounds``, row by row from the south-west: for small bounds alone."""
         if bounds.empty:
             return
         for iy in range(self.index_of(bounds.y0), self.index_of(bounds.y1 - 1) + 1):
             for ix in range(self.index_of(bounds.x0), self.index_of(bounds.x1 - 1) + 1):
                 yield Cell(ix, iy)
+
+    def among(self, bounds: Bounds, occupied: Collection[Cell]) -> list[Cell]:
+        """Those of the occupied cells that hold a count of ``bounds``, row by row from the south-west.
+
+        Looks at the cells of the bounds or at the occupied ones, whichever are fewer: points may lie anywhere, so
+        the bounds of a few of them can have a thousand million cells.
+        """
+        if bounds.empty:
+            return []
+        west, east = self.index_of(bounds.x0), self.index_of(bounds.x1 - 1)
+        south, north = self.index_of(bounds.y0), self.index_of(bounds.y1 - 1)
+        if (east - west + 1) * (north - south + 1) <= len(occupied):
+            return [cell for cell in self.cells(bounds) if cell in occupied]
+        found = [c for c in occupied if west <= c.ix <= east and south <= c.iy <= north]
+        return sorted(found, key=row_by_row)
 
     def around(self, bounds: Bounds) -> Bounds:
         """The counts of all cells that ``bounds`` (not empty) touch."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.area import Area
-from tiler.core.lattice import Bounds, Lattice
+from tiler.core.lattice import Bounds, Cell, Lattice, row_by_row
 from tiler.core.products import NODATA as NODATA  # here for those that deal with rasters
 
 
@@ -27,6 +28,11 @@ class Block:
     def name(self) -> str:
         """A name that sorts: row and column of the north-west pixel."""
         return f"r{self.row:07d}c{self.col:07d}"
+
+
+def north_west(block: Block) -> tuple[int, int]:
+    """Sorts blocks row by row from the north-west."""
+    return block.row, block.col
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,29 @@ class RasterSpec:
         """Blocks of ``size`` pixels (smaller at the south and east end) that cover each pixel once."""
         for row in range(0, self.height, size):
             for col in range(0, self.width, size):
-                yield Block(row, col, min(size, self.height - row), min(size, self.width - col))
+                yield self.block_at(row, col, size)
+
+    def block_at(self, row: int, col: int, size: int) -> Block:
+        """The one of the `blocks` whose north-west pixel this is."""
+        return Block(row, col, min(size, self.height - row), min(size, self.width - col))
+
+    def block_named(self, name: str, size: int) -> Block:
+        """The one of the `blocks` with this `Block.name`."""
+        row, _, col = name.removeprefix("r").partition("c")
+        return self.block_at(int(row), int(col), size)
+
+    def blocks_near(
+        self, lattice: Lattice, cells: Iterable[Cell], size: int, reach: int = 0
+    ) -> dict[Block, list[Cell]]:
+        """The `blocks` within ``reach`` counts of some cells, row by row, each with these cells, row by row.
+
+        Follows the cells: of a raster that is mostly empty the blocks are not looked at one by one.
+        """
+        found: dict[Block, list[Cell]] = defaultdict(list)
+        for cell in sorted(cells, key=row_by_row):
+            for block in self.blocks_within(lattice.bounds(cell).pad(reach), size):
+                found[block].append(cell)
+        return {block: found[block] for block in sorted(found, key=north_west)}
 
     def blocks_within(self, bounds: Bounds, size: int) -> Iterator[Block]:
         """Those of the `blocks` that hold a count of ``bounds``, in the same order."""
@@ -65,7 +93,7 @@ class RasterSpec:
         top, bottom = self.north - 1 - index(bounds.y1 - 1), self.north - 1 - index(bounds.y0)
         for row in range(max(top, 0) // size * size, min(bottom + 1, self.height), size):
             for col in range(max(left, 0) // size * size, min(right + 1, self.width), size):
-                yield Block(row, col, min(size, self.height - row), min(size, self.width - col))
+                yield self.block_at(row, col, size)
 
     def block_bounds(self, block: Block) -> Bounds:
         """The absolute counts that the pixels of a block cover."""

@@ -154,12 +154,40 @@ def _whole_number(value: float) -> bool:
 
 def _blocks(pair: Pair) -> Iterator[tuple[int, int, Float64s, Float64s]]:
     """Row and column of the truth, and heights of both there; NaN where there is none."""
-    height, width = pair.truth.shape
-    for row in range(0, height, BLOCK):
-        for col in range(0, width, BLOCK):
-            size = (min(BLOCK, height - row), min(BLOCK, width - col))
-            mine = read_heights(pair.dtm, row - pair.row, col - pair.col, *size)
-            yield row, col, mine, read_heights(pair.truth, row, col, *size)
+    for row, col, height, width in blocks_with_files(pair.truth):
+        mine = read_heights(pair.dtm, row - pair.row, col - pair.col, height, width)
+        yield row, col, mine, read_heights(pair.truth, row, col, height, width)
+
+
+def blocks_with_files(raster: Any) -> Iterator[tuple[int, int, int, int]]:
+    """Row, column, height and width of the blocks of an open raster, but those of a VRT that none of its files reaches.
+
+    A VRT over the sheets of far-apart sites has millions of these.
+    """
+    height, width = raster.shape
+    if raster.driver == "VRT":
+        places = sorted({place for path in raster.files for place in _reached(raster, path)})
+    else:
+        places = [(row, col) for row in range(0, height, BLOCK) for col in range(0, width, BLOCK)]
+    for row, col in places:
+        yield row, col, min(BLOCK, height - row), min(BLOCK, width - col)
+
+
+def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
+    """Row and column of the blocks of a VRT that a file of it comes near."""
+    import rasterio
+
+    if path == vrt.name:
+        return
+    with rasterio.open(path) as part:
+        corners = [
+            ~vrt.transform * (part.transform * (x, y)) for x in (0, part.width) for y in (0, part.height)
+        ]
+    left, right = (pick(x for x, _ in corners) for pick in (min, max))
+    top, bottom = (pick(y for _, y in corners) for pick in (min, max))
+    for row in range(max(int(top) - 1, 0) // BLOCK * BLOCK, min(int(bottom) + 2, vrt.height), BLOCK):
+        for col in range(max(int(left) - 1, 0) // BLOCK * BLOCK, min(int(right) + 2, vrt.width), BLOCK):
+            yield row, col
 
 
 def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Float64s:

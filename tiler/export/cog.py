@@ -192,7 +192,7 @@ def _check(partial: Path, spec: RasterSpec) -> None:
     """Read the last block, which ends the file: GDAL may notice a full disk only when it closes, and say nothing."""
     from rasterio.windows import Window
 
-    *_, last = spec.blocks(TILE)
+    last = spec.block_at((spec.height - 1) // TILE * TILE, (spec.width - 1) // TILE * TILE, TILE)
     with raster_errors(partial), rasterio.open(partial) as raster:
         if raster.shape != (spec.height, spec.width):
             raise ProcessingError(f"{partial}: {raster.shape} pixels instead of {(spec.height, spec.width)}")

@@ -111,10 +111,10 @@ def _known(store: TileStore, window: Bounds, reach: int) -> Known:
 
     The virtual ring of a method keeps every circle that matters within that reach of the data.
     """
-    wide, occupied, lattice = window.pad(reach), store.buckets(), store.meta.bucket
+    wide = window.pad(reach)
 
     def empty(strip: Bounds) -> bool:
-        return not any(cell in occupied for cell in lattice.cells(strip))
+        return not store.buckets_within(strip)
 
     ox, oy = store.meta.frame.origin
     west = empty(Bounds(wide.x0, wide.y0, window.x0, wide.y1))

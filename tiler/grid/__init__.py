@@ -1,17 +1,20 @@
 """Grid: heights at pixel centres on the TIN of the merged ground points, and what follows, block by block."""
 
+from tiler.grid.blank import blank_blocks
 from tiler.grid.block import SMALLEST_PART, full_halo, grid_block
 from tiler.grid.density import density_block
 from tiler.grid.derived import derive_block
 from tiler.grid.distance import distance_block
 from tiler.grid.mask import mask_block
 from tiler.grid.surface import DEEP_M, reach_pixels, surface_block
-from tiler.grid.survey import occupancy_block, survey_raster
+from tiler.grid.survey import blocks_of, occupancy_block, survey_raster
 from tiler.grid.voids import fill_block, find_voids
 
 __all__ = [
     "DEEP_M",
     "SMALLEST_PART",
+    "blank_blocks",
+    "blocks_of",
     "density_block",
     "derive_block",
     "distance_block",

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ptd.idw import inverse_distance
 from ptd.tin import Pixels, Raster, Tin, Window, rasterise
+from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock
@@ -36,6 +37,10 @@ from tiler.store import TileStore, open_store
 
 SMALLEST_PART = 32
 """Pixels a side below which a block is not divided any more."""
+
+
+WIDEST_WINDOW = MAX_EXTENT // 2
+"""Counts of a window's side from which on a block is divided, so that the TIN is exact."""
 
 
 def full_halo(max_edge: Fraction) -> int:
@@ -100,21 +105,42 @@ Heights = npt.NDArray[np.float32]
 
 
 def _in_parts(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[str, Any]]:
-    """As `block_heights`, in quarters where the window holds more points than ``max_points``; same pixels."""
+    """As `block_heights`, in quarters where the window is too wide or too full; same pixels."""
+    job = read_job(args)
+    if _too_wide(job, args["halo"]) and not store.buckets_within(_window(job, full_halo(job.max_edge))):
+        return _nothing(job.block, args["halo"])
     if _too_full(store, args, args["halo"]):
         return _in_quarters(store, args)
     return block_heights(store, args)
 
 
+def _nothing(block: Block, halo: int) -> tuple[Heights, dict[str, Any]]:
+    """What `block_heights` would find far from all points."""
+    heights = np.full((block.height, block.width), NODATA, np.float32)
+    none = dict.fromkeys(("filled", "marked", "ground_read", "ground_used", "ground_marked"), 0)
+    return heights, {"pixels": heights.size, "nodata": heights.size, **none, "tries": 1, "halo": halo}
+
+
+def _window(job: GridJob, halo: int) -> Bounds:
+    return job.spec.block_bounds(job.block).pad(halo)
+
+
+def _too_wide(job: GridJob, halo: int) -> bool:
+    """Whether a block's window is too wide for a TIN."""
+    window = _window(job, halo)
+    return max(window.x1 - window.x0, window.y1 - window.y0) >= WIDEST_WINDOW
+
+
 def _too_full(store: TileStore, args: dict[str, Any], halo: int) -> bool:
-    """Whether a block's window holds too many points; the smallest part is done however many they are."""
+    """Whether a block's window is too wide, or too full: of points the smallest part may hold any number."""
+    job = read_job(args)
+    if max(args["block"][2:]) > 1 and _too_wide(job, halo):
+        return True
     if "max_points" not in args or max(args["block"][2:]) <= SMALLEST_PART:
         return False
-    job = read_job(args)
-    window, infos, lattice = job.spec.block_bounds(job.block).pad(halo), store.buckets(), store.meta.bucket
-    held = [infos[cell].n for cell in lattice.cells(window) if cell in infos]
+    held = [info.n for info in store.buckets_within(_window(job, halo)).values()]
     if job.thin is not None and _by_bucket(store, job):
-        most = math.ceil(lattice.size / job.thin.size + 1) ** 2
+        most = math.ceil(store.meta.bucket.size / job.thin.size + 1) ** 2
         held = [min(points, most) for points in held]
     return sum(held) > int(args["max_points"])
 

@@ -85,11 +85,9 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choo
     choose = None if rule.erode else choose
     is_ground = rule.is_ground()
     columns = ("xyz", "flags") if rule.labels is not None else ("xyz", "flags", "classification")
-    parts, marks, present = [np.empty((3, 0), np.int32)], [np.empty(0, np.bool_)], store.buckets()
+    parts, marks = [np.empty((3, 0), np.int32)], [np.empty(0, np.bool_)]
     read = 0
-    for cell in store.meta.bucket.cells(bounds):
-        if cell not in present:
-            continue
+    for cell in store.buckets_within(bounds):
         block = store.read_bucket(cell, columns)
         column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
         classes = _there(column, store, cell)
@@ -110,15 +108,14 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choo
 
 def _objects(store: TileStore, rule: GroundRule, bounds: Bounds) -> npt.NDArray[np.int32]:
     """Points that are neither ground nor noise, as far around ``bounds`` as they have a say."""
-    wide, present, is_ground = bounds.pad(math.ceil(rule.erode)), store.buckets(), rule.is_ground()
+    wide, is_ground = bounds.pad(math.ceil(rule.erode)), rule.is_ground()
     parts = [np.empty((3, 0), np.int32)]
-    for cell in store.meta.bucket.cells(wide):
-        if cell in present:
-            block, chosen = surface_points(store, rule, cell)
-            column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
-            chosen &= ~is_ground[_there(column, store, cell)]
-            chosen &= block.inside(wide, store.meta.frame.origin)
-            parts.append(block.xyz[:, chosen])
+    for cell in store.buckets_within(wide):
+        block, chosen = surface_points(store, rule, cell)
+        column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
+        chosen &= ~is_ground[_there(column, store, cell)]
+        chosen &= block.inside(wide, store.meta.frame.origin)
+        parts.append(block.xyz[:, chosen])
     return np.concatenate(parts, axis=1)
 
 

@@ -109,11 +109,9 @@ def _returns(store: TileStore, job: GridJob, block: Block, args: dict[str, Any])
     """Highest supported return of each pixel, int32 (height, width, 3), bucket by bucket."""
     reach, origin = int(args["reach"]), store.meta.frame.origin
     wider = Block(block.row - reach, block.col - reach, block.height + 2 * reach, block.width + 2 * reach)
-    bounds, present = job.spec.block_bounds(wider), store.buckets()
+    bounds = job.spec.block_bounds(wider)
     highest = HighestReturns(wider.height, wider.width)
-    for cell in store.meta.bucket.cells(bounds):
-        if cell not in present:
-            continue
+    for cell in store.buckets_within(bounds):
         points, chosen = surface_points(store, job.rule, cell)
         chosen &= points.inside(bounds, origin)
         xyz = np.ascontiguousarray(points.xyz[:, chosen])

@@ -8,6 +8,7 @@ certificate.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ from tiler.store import TileStore, open_store
 CHUNK = 512
 
 Bools = npt.NDArray[np.bool_]
+Runs = list[list[int]]
+"""Blocks of a raster: first row of pixels, first and last column of a run of neighbours (see `block_runs`)."""
 
 
 def occupancy_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
@@ -42,13 +45,12 @@ def occupancy_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``occupied`` cells; ``checksum``.
     """
     store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
-    rule, bounds, present = GroundRule.from_args(args), spec.block_bounds(block), store.buckets()
+    rule, bounds = GroundRule.from_args(args), spec.block_bounds(block)
     occupied = np.zeros(block.height * block.width, np.float32)
-    for cell in store.meta.bucket.cells(bounds):
-        if cell in present:
-            points, chosen = surface_points(store, rule, cell)
-            chosen &= points.inside(bounds, store.meta.frame.origin)
-            occupied[pixel_indices(points.xyz[:, chosen], store.meta.frame.origin, spec, block)] = 1
+    for cell in store.buckets_within(bounds):
+        points, chosen = surface_points(store, rule, cell)
+        chosen &= points.inside(bounds, store.meta.frame.origin)
+        occupied[pixel_indices(points.xyz[:, chosen], store.meta.frame.origin, spec, block)] = 1
     values = occupied.reshape(block.height, block.width)
     store.write_block(args["name"], block, values)
     return {"occupied": int(values.sum()), "checksum": checksum(values)}
@@ -62,19 +64,26 @@ def survey_raster(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     store_url : str
     args : dict
         ``name``; ``spec``: of the coarse cells; ``occupancy``: name of that raster; ``bridge``: cells, the widest
-        gap that belongs to the survey.
+        gap that belongs to the survey; ``pixels``: `RasterSpec` of the products.
 
     Returns
     -------
     dict
-        ``inside`` and ``cells``; ``checksum``.
+        ``inside`` and ``cells``; ``blocks``: `block_runs` of the products' blocks that hold some of the survey;
+        ``checksum``.
     """
     store, spec = open_store(store_url), RasterSpec.from_json(args["spec"])
     occupied = store.read_block(args["occupancy"], Block(0, 0, spec.height, spec.width)) > 0
-    inside = survey_of(occupied, args["bridge"]).astype(np.float32)
+    found = survey_of(occupied, args["bridge"])
+    inside = found.astype(np.float32)
     for b in spec.blocks(CHUNK):
         store.write_block(args["name"], b, inside[b.row : b.row + b.height, b.col : b.col + b.width])
-    return {"inside": int(inside.sum()), "cells": inside.size, "checksum": checksum(inside)}
+    return {
+        "inside": int(inside.sum()),
+        "cells": inside.size,
+        "blocks": block_runs(found, spec, RasterSpec.from_json(args["pixels"]), CHUNK),
+        "checksum": checksum(inside),
+    }
 
 
 def survey_of(occupied: Bools, bridge: float) -> Bools:
@@ -92,6 +101,56 @@ def survey_of(occupied: Bools, bridge: float) -> Bools:
     whole = ndimage.binary_fill_holes(padded)
     inner: Bools = ndimage.binary_erosion(whole, np.ones((3, 3), np.bool_))[pad:-pad, pad:-pad]
     return inner
+
+
+def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pad: int = 0) -> Runs:
+    """The blocks of a raster that some coarse cells touch, or come within ``pad`` pixels of.
+
+    Follows the cells: a raster that is mostly empty has far more blocks than these.
+
+    Parameters
+    ----------
+    cells : bool, shape (height, width) of ``coarse``
+    coarse, spec : RasterSpec
+        Of the cells, and of the raster.
+    size : int
+        Of a block in pixels.
+    pad : int
+
+    Returns
+    -------
+    list of [int, int, int]
+        First row of pixels of some blocks, first and last column of those that are neighbours in this row.
+    """
+    rows: dict[int, list[tuple[int, int]]] = {}
+    for row in np.flatnonzero(cells.any(axis=1)).tolist():
+        steps = np.flatnonzero(np.diff(cells[row], prepend=False, append=False)).reshape(-1, 2).tolist()
+        for start, end in steps:
+            box = covered(coarse, spec, Block(row, start, 1, end - start), pad)
+            if box.height <= 0 or box.width <= 0:
+                continue
+            run = box.col // size * size, (box.col + box.width - 1) // size * size
+            for top in range(box.row // size * size, box.row + box.height, size):
+                rows.setdefault(top, []).append(run)
+    return [[row, first, last] for row in sorted(rows) for first, last in _merged(rows[row], size)]
+
+
+def _merged(runs: list[tuple[int, int]], size: int) -> list[tuple[int, int]]:
+    """Runs of a row from the west, those that overlap or follow one another as one."""
+    found: list[tuple[int, int]] = []
+    for first, last in sorted(set(runs)):
+        if found and first <= found[-1][1] + size:
+            found[-1] = found[-1][0], max(found[-1][1], last)
+        else:
+            found.append((first, last))
+    return found
+
+
+def blocks_of(runs: Runs, spec: RasterSpec, size: int) -> Iterator[Block]:
+    """The blocks that `block_runs` found, row by row from the north-west."""
+    for row, first, last in runs:
+        for col in range(first, last + 1, size):
+            yield spec.block_at(row, col, size)
 
 
 def coarse_cells(coarse: RasterSpec, spec: RasterSpec, block: Block) -> tuple[npt.NDArray[np.int64], ...]:
@@ -115,11 +174,11 @@ def coarse_values(
     return store.read_block(name, window)[np.ix_(rows - top, cols - left)]
 
 
-def covered(coarse: RasterSpec, spec: RasterSpec, cells: Block) -> Block:
-    """The pixels of a raster that some coarse cells touch, as far as it reaches."""
+def covered(coarse: RasterSpec, spec: RasterSpec, cells: Block, pad: int = 0) -> Block:
+    """The pixels of a raster that some coarse cells touch, and ``pad`` more around them, as far as it reaches."""
     bounds: Bounds = coarse.block_bounds(cells)
     index = spec.lattice.index_of
     left, right = index(bounds.x0) - spec.west, index(bounds.x1 - 1) + 1 - spec.west
     top, bottom = spec.north - 1 - index(bounds.y1 - 1), spec.north - index(bounds.y0)
-    left, top = max(left, 0), max(top, 0)
-    return Block(top, left, min(bottom, spec.height) - top, min(right, spec.width) - left)
+    left, top = max(left - pad, 0), max(top - pad, 0)
+    return Block(top, left, min(bottom + pad, spec.height) - top, min(right + pad, spec.width) - left)

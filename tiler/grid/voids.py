@@ -17,13 +17,16 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.block import heights_in_units, pixels_of
 from tiler.grid.checksum import checksum
-from tiler.grid.survey import CHUNK, coarse_cells, coarse_values, covered
+from tiler.grid.survey import CHUNK, Bools, block_runs, blocks_of, coarse_cells, coarse_values, covered
 from tiler.store import TileStore, open_store
 
 Int32 = npt.NDArray[np.int32]
 
 PIECE = 512
 """Pixels a side that are looked at at a time."""
+
+NEAR = 2
+"""Pixels: whatever fills a hole lies nearer to it."""
 
 AROUND = np.ones((3, 3), np.bool_)
 
@@ -44,12 +47,14 @@ def find_voids(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``voids``: row, column, height and width of each hole in cells, from number 1 on; ``checksum``.
+        ``voids``: row, column, height and width of each hole in cells, from number 1 on; ``blocks``: of each the
+        blocks of the raster that it comes within `NEAR` pixels of, as `block_runs` gives them; ``checksum``.
     """
     store, spec = open_store(store_url), RasterSpec.from_json(args["spec"])
     coarse = RasterSpec.from_json(args["coarse"])
     empty = np.zeros((coarse.height, coarse.width), np.bool_)
-    for block in spec.blocks(PIECE):
+    survey = store.read_block(args["survey"], Block(0, 0, coarse.height, coarse.width)) > 0
+    for block in blocks_of(block_runs(survey, coarse, spec, PIECE), spec, PIECE):
         rows, cols = np.nonzero(_void(store, args, coarse, spec, block))
         if len(rows):
             cell_rows, cell_cols = coarse_cells(coarse, spec, block)
@@ -58,8 +63,17 @@ def find_voids(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     values = numbers.astype(np.float32)
     for b in coarse.blocks(CHUNK):
         store.write_block(args["name"], b, values[b.row : b.row + b.height, b.col : b.col + b.width])
-    boxes = [[r.start, c.start, r.stop - r.start, c.stop - c.start] for r, c in ndimage.find_objects(numbers)]
-    return {"voids": boxes, "checksum": checksum(values)}
+    boxes, blocks = [], []
+    for number, (down, right) in enumerate(ndimage.find_objects(numbers), start=1):
+        box = Block(down.start, right.start, down.stop - down.start, right.stop - right.start)
+        boxes.append([box.row, box.col, box.height, box.width])
+        blocks.append(block_runs(numbers[down, right] == number, _part(coarse, box), spec, PIECE, NEAR))
+    return {"voids": boxes, "blocks": blocks, "checksum": checksum(values)}
+
+
+def _part(spec: RasterSpec, block: Block) -> RasterSpec:
+    """A window of a raster as a raster of its own."""
+    return RasterSpec(spec.lattice, spec.west + block.col, spec.north - block.row, block.height, block.width)
 
 
 def fill_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
@@ -89,7 +103,7 @@ def fill_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     for number, *cells in args["voids"]:
         inside = empty & (numbers == number)
         if inside.any():
-            rim = _rim(store, args, coarse, spec, number, covered(coarse, spec, Block(*cells)))
+            rim = _rim(store, args, coarse, spec, number, Block(*cells))
             raster = rasterise(Tin.build(*rim), pixels_of(spec, block, store.meta.frame.origin))
             heights = np.where(inside, heights_in_units(raster), heights)
     store.write_block(args["name"], block, heights)
@@ -108,17 +122,16 @@ def _void(
 
 
 def _rim(
-    store: TileStore, args: dict[str, Any], coarse: RasterSpec, spec: RasterSpec, number: int, region: Block
+    store: TileStore, args: dict[str, Any], coarse: RasterSpec, spec: RasterSpec, number: int, cells: Block
 ) -> tuple[Int32, Int32, Int32]:
     """Local counts x, y, z of the centres of the pixels with a height that touch a hole, piece by piece."""
     found: list[npt.NDArray[np.int64]] = [np.empty((3, 0), np.int64)]
-    row0, col0 = max(region.row - 1, 0), max(region.col - 1, 0)
-    row1 = min(region.row + region.height + 1, spec.height)
-    col1 = min(region.col + region.width + 1, spec.width)
-    for row in range(row0, row1, PIECE):
-        for col in range(col0, col1, PIECE):
-            core = Block(row, col, min(PIECE, row1 - row), min(PIECE, col1 - col))
-            found.append(_rim_of_piece(store, args, coarse, spec, number, core))
+    region = covered(coarse, spec, cells, 1)
+    mine: Bools = store.read_block(args["numbers"], cells) == number
+    part = _part(spec, region)
+    for piece in blocks_of(block_runs(mine, _part(coarse, cells), part, PIECE, 1), part, PIECE):
+        core = Block(region.row + piece.row, region.col + piece.col, piece.height, piece.width)
+        found.append(_rim_of_piece(store, args, coarse, spec, number, core))
     x, y, z = np.concatenate(found, axis=1)
     east, north = store.meta.frame.origin
     return (x - east).astype(np.int32), (y - north).astype(np.int32), z.astype(np.int32)

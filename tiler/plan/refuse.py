@@ -22,6 +22,8 @@ from tiler.results import CLASSIFIED, folder_here, foreign_files
 
 MAX_DENOMINATOR = 511
 """Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
+WIDEST_PIXEL = 1 << 26
+"""Counts of a pixel's side from which on gridding is not exact in int64."""
 WIDEST_RELIEF_M = 9000
 WIDE_TILE = 2 + 2 * math.sqrt(2)
 """Halos in a tile that does twice the work."""
@@ -105,6 +107,11 @@ def refuse(plan: Plan, out: Path | None) -> None:
         raise ConfigError(
             f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units "
             "is too odd a fraction; give it in the unit of the CRS"
+        )
+    if pixel >= WIDEST_PIXEL:
+        most = float(WIDEST_PIXEL * plan.meta.frame.metres_xy)
+        raise ConfigError(
+            f"--resolution {float(plan.resolution):g} m: pixels are less than {most:,.0f} m wide; use a smaller one"
         )
     sheets = plan.config.sheets
     if sheets is not None and (sheets / plan.resolution).denominator != 1:

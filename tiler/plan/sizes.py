@@ -20,7 +20,6 @@ BUCKET_POINTS = 100_000
 BUCKETS_M = (8, 16, 32, 64, 128)
 TILE_M = 512
 
-
 FAR_FROM_MEAN = 2.0
 """From so many times the mean over the files' bounds on the density of the sample is right, however rough it is."""
 
@@ -107,12 +106,18 @@ def tile_m(
 
 
 def resolution_of(config: RunConfig, density: float, notes: list[str]) -> Fraction:
-    """1 m, or the mean spacing of the points where that is coarser."""
+    """1 m, or the mean spacing of the points where that is coarser, up to ``--max-edge``."""
     if config.resolution is not None:
         return config.resolution
     spacing = 1 / math.sqrt(density)
     if spacing <= 1.05:
         return Fraction(1)
+    if spacing > config.max_edge:
+        notes.append(
+            f"resolution {float(config.max_edge):g} m: the points are {spacing:.2g} m apart, and --max-edge "
+            f"{float(config.max_edge):g} m lets no height reach that far; set both"
+        )
+        return config.max_edge
     resolution = Fraction(math.ceil(2 * spacing), 2)
     notes.append(
         f"resolution {float(resolution):g} m: the points are {spacing:.2g} m apart; --resolution overrides"

@@ -49,6 +49,7 @@ class BucketIndex:
 
     def __init__(self, table: npt.NDArray[np.int64]) -> None:
         self._table = table[np.lexsort((table[:, _IX], table[:, _IY]))]
+        self._iy = np.ascontiguousarray(self._table[:, _IY])
         self._place: dict[tuple[int, int], int] | None = None
 
     @classmethod
@@ -84,11 +85,15 @@ class BucketIndex:
         """The published buckets that hold counts of ``bounds``, row by row from the south-west."""
         if bounds.empty:
             return []
-        ix, iy = self._table[:, _IX], self._table[:, _IY]
+        rows = slice(
+            int(np.searchsorted(self._iy, lattice.index_of(bounds.y0))),
+            int(np.searchsorted(self._iy, lattice.index_of(bounds.y1 - 1), side="right")),
+        )
+        table = self._table[rows]
+        ix = table[:, _IX]
         hit = (ix >= lattice.index_of(bounds.x0)) & (ix <= lattice.index_of(bounds.x1 - 1))
-        hit &= (iy >= lattice.index_of(bounds.y0)) & (iy <= lattice.index_of(bounds.y1 - 1))
-        hit &= self._table[:, _N] >= 0
-        return [_bucket(line) for line in self._table[hit].tolist()]
+        hit &= table[:, _N] >= 0
+        return [_bucket(line) for line in table[hit].tolist()]
 
     def allocated(self, counts: Mapping[Cell, int], row_points: int) -> tuple[BucketIndex, list[Bucket]]:
         """An index with rows for ``counts``, and the buckets that moved away from their rows.

@@ -57,11 +57,22 @@ def read_block(storage: Storage, array: arrays.ZarrArray, block: Block) -> npt.N
     return arrays.read(storage, array, _window(block))
 
 
-def missing_blocks(storage: Storage, name: str, blocks: Iterable[Block]) -> list[Block]:
-    """Blocks for which no chunk is stored; lists the raster, row of chunks by row."""
+def stored_blocks(storage: Storage, name: str) -> set[tuple[int, int]]:
+    """Row and column of the north-west pixel of each block that a chunk is stored for; the others hold the fill."""
     folder = f"{layout.raster_path(name)}/c"
-    present = {(row, col) for row in storage.names(folder) for col in storage.names(f"{folder}/{row}")}
-    return [b for b in blocks if (str(b.row // RASTER_CHUNK), str(b.col // RASTER_CHUNK)) not in present]
+    return {
+        (int(row) * RASTER_CHUNK, int(col) * RASTER_CHUNK)
+        for row in storage.names(folder)
+        for col in storage.names(f"{folder}/{row}")
+        if row.isdigit() and col.isdigit()
+    }
+
+
+def erase_blocks(storage: Storage, name: str, blocks: Iterable[Block]) -> None:
+    """Remove the chunks of some blocks, which then hold the fill."""
+    for block in blocks:
+        chunk = f"c/{block.row // RASTER_CHUNK}/{block.col // RASTER_CHUNK}"
+        storage.delete(f"{layout.raster_path(name)}/{chunk}")
 
 
 def _window(block: Block) -> tuple[slice, slice]:

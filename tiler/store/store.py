@@ -184,6 +184,12 @@ class TileStore:
         self.refresh()
         return {b.cell: b.info for b in self._current().published() if b.info is not None}
 
+    def buckets_within(self, bounds: Bounds) -> dict[Cell, BucketInfo]:
+        """Those of the published `buckets` that hold a count of ``bounds``; costs no more however many others are."""
+        self.refresh()
+        near = self._current().overlapping(self.meta.bucket, bounds)
+        return {b.cell: b.info for b in near if b.info is not None}
+
     def window(
         self,
         bounds: Bounds,
@@ -280,9 +286,13 @@ class TileStore:
         """Any window of a raster; what was never written is the raster's fill."""
         return rasters.read_block(self._storage, self._raster(name), block)
 
-    def missing_blocks(self, name: str, blocks: Iterable[Block]) -> list[Block]:
-        """Those of some blocks that no chunk is stored for: they hold nothing but the fill, or are lost."""
-        return rasters.missing_blocks(self._storage, name, blocks)
+    def stored_blocks(self, name: str) -> set[tuple[int, int]]:
+        """First row and column of each block that a chunk is stored for; others hold the fill, or are lost."""
+        return rasters.stored_blocks(self._storage, name)
+
+    def erase_blocks(self, name: str, blocks: Iterable[Block]) -> None:
+        """Remove what is stored of some blocks, which then hold the raster's fill."""
+        rasters.erase_blocks(self._storage, name, blocks)
 
     def _raster(self, name: str) -> arrays.ZarrArray:
         if name not in self._rasters:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.tiler.check.rasters import tilted, write_surface
-from tiler.check import TileEdges, seam_steps, seams
+from tiler.check import TileEdges, seam_steps
 from tiler.check.seams import seams_of
 from tiler.errors import ConfigError, InputError
 
@@ -34,7 +34,7 @@ def test_a_plane_has_steps_and_no_jumps(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("block", [1024, 16])
 def test_steps_at_the_edges_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int) -> None:
-    monkeypatch.setattr(seams, "BLOCK", block)
+    monkeypatch.setattr("tiler.evaluate.heights.BLOCK", block)
     facts = seam_steps(write_surface(tmp_path / "d.tif", stepped), TileEdges(10))
     # Of six edges three are jumps of 0.1, one is a jump of 0.25, two are none.
     assert facts["tiles"]["mean_jump"] == pytest.approx((3 * 0.1 + 0.25) / 6, abs=1e-4)

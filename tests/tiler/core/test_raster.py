@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import pytest
 
-from tiler.core.lattice import Bounds, Lattice
+from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
 
 SPEC = RasterSpec(Lattice(Fraction(1000, 3)), -7, 11, 50, 33)
@@ -37,3 +37,30 @@ def test_blocks_cover_each_pixel_once() -> None:
         for col in range(block.col, block.col + block.width)
     ]
     assert sorted(pixels) == [(row, col) for row in range(SPEC.height) for col in range(SPEC.width)]
+
+
+@pytest.mark.parametrize("reach", [0, 1, 700])
+def test_blocks_near_cells_have_the_cells_that_reach_them(reach: int) -> None:
+    lattice = Lattice(Fraction(500))
+    cells = {Cell(ix, iy) for ix in range(-6, 9, 2) for iy in range(-12, 10, 3)}
+    expected = {}
+    for block in SPEC.blocks(16):
+        near = lattice.among(SPEC.block_bounds(block).pad(reach), cells)
+        if near:
+            expected[block] = near
+    found = SPEC.blocks_near(lattice, cells, 16, reach)
+    assert found == expected
+    assert list(found) == list(expected)
+
+
+def test_blocks_near_a_few_cells_of_a_huge_raster_are_found_at_once() -> None:
+    wide = RasterSpec(Lattice(Fraction(1000)), 0, 4_000_000, 4_000_000, 4_000_000)
+    cells = [Cell(0, 0), Cell(31_249, 31_249)]
+    assert [b.name for b in wide.blocks_near(Lattice(Fraction(128_000)), cells, 512)] == [
+        "r0000000c3999744", "r3999744c0000000",
+    ]  # fmt: skip
+
+
+def test_a_block_is_known_by_its_name() -> None:
+    for block in SPEC.blocks(16):
+        assert SPEC.block_named(block.name, 16) == block

@@ -42,7 +42,14 @@ def filled(
             scene.store.url, {**common, "name": "occupancy", "block": [b.row, b.col, b.height, b.width]}
         )
     survey_raster(
-        scene.store.url, {**common, "name": "survey", "occupancy": "occupancy", "bridge": LIMIT / 2000}
+        scene.store.url,
+        {
+            **common,
+            "name": "survey",
+            "occupancy": "occupancy",
+            "bridge": LIMIT / 2000,
+            "pixels": spec.to_json(),
+        },
     )
     args = {
         "spec": spec.to_json(), "coarse": coarse.to_json(), "heights": "dtm", "survey": "survey",
