@@ -14,12 +14,11 @@ from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 from zarr.core.array_spec import ArrayConfigParams
 from zarr.core.buffer import Buffer, BufferPrototype
 from zarr.core.metadata import ArrayV3Metadata
-from zarr.errors import ContainsArrayError
-from zarr.storage import StorePath, WrapperStore
+from zarr.storage import MemoryStore, StorePath, WrapperStore
 
 from tiler.errors import DamagedError, StoreError
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind
-from tiler.store.storage import Storage, failed_write
+from tiler.store.storage import Storage, failed_write, seal_holds, sealed
 
 ZarrArray: TypeAlias = "zarr.Array[Any]"  # a string: older zarr 3.1 has no generic array
 
@@ -67,21 +66,39 @@ def create_array(
     attributes: dict[str, Any] | None = None,
 ) -> ZarrArray:
     """A new array, or the one that another task made at the same time with the same arguments."""
-    blosc = BloscCodec(typesize=kind.shuffled, cname="zstd", clevel=kind.level, shuffle="shuffle")
-    try:
-        zarr.create_array(
-            storage.zarr_store, name=path, shape=shape, chunks=kind.chunks, dtype=kind.dtype, fill_value=kind.fill,
-            serializer=BytesCodec(), filters=None, compressors=[blosc, Crc32cCodec()], attributes=attributes,
-            zarr_format=3,
-        )  # fmt: skip
-    except ContainsArrayError:
-        pass
-    except OSError as error:
-        raise failed_write(storage.url, path, error) from error
+    if storage.get(_metadata_key(path)) is None:
+        _put(storage, path, _metadata(shape, kind, attributes or {}))
     array = find_array(storage, path, kind)
     if array is None:
         raise StoreError(f"{storage.url}: {path} vanished while it was made; is another run at work here?")
     return array
+
+
+def lengthen_array(storage: Storage, path: str, kind: ArrayKind, shape: tuple[int, ...]) -> None:
+    """Let an array that is there be longer, along its first axis."""
+    array = open_array(storage, path, kind)
+    _put(storage, path, _metadata(shape, kind, dict(array.attrs)))
+
+
+def _metadata(shape: tuple[int, ...], kind: ArrayKind, attributes: dict[str, Any]) -> dict[str, Any]:
+    """What zarr writes about an array, made in memory: with its checksum it reaches the store in one piece."""
+    blosc = BloscCodec(typesize=kind.shuffled, cname="zstd", clevel=kind.level, shuffle="shuffle")
+    written: dict[str, Buffer] = {}
+    zarr.create_array(
+        MemoryStore(written), shape=shape, chunks=kind.chunks, dtype=kind.dtype, fill_value=kind.fill,
+        serializer=BytesCodec(), filters=None, compressors=[blosc, Crc32cCodec()], attributes=attributes,
+        zarr_format=3,
+    )  # fmt: skip
+    metadata: dict[str, Any] = json.loads(written["zarr.json"].to_bytes())
+    return metadata
+
+
+def _metadata_key(path: str) -> str:
+    return f"{path}/zarr.json"
+
+
+def _put(storage: Storage, path: str, metadata: dict[str, Any]) -> None:
+    storage.put(_metadata_key(path), json.dumps(sealed(metadata)).encode())
 
 
 def find_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray | None:
@@ -94,7 +111,7 @@ def find_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray | None
     StoreError
         The array is not one that tiler writes.
     """
-    data = storage.get(f"{path}/zarr.json")
+    data = storage.get(_metadata_key(path))
     if data is None:
         return None
     metadata = _checked(data, f"{storage.url}: {path}", path, kind)
@@ -116,6 +133,8 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
     """The metadata of an array if tiler could have written them."""
     try:
         metadata: dict[str, Any] = json.loads(data)
+        if not seal_holds(metadata):
+            raise ValueError("its checksum does not fit")
         found = {
             "zarr_format": metadata["zarr_format"],
             "node_type": metadata["node_type"],
@@ -124,7 +143,7 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
         }
         codecs = {codec["name"] for codec in metadata["codecs"]}
         transformers = metadata.get("storage_transformers")
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise DamagedError(
             f"{where}: its metadata are damaged; run again, and it is made anew", (path,)
         ) from error

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 
-import zarr
-
 from tiler.errors import ConfigError, ForeignStoreError, StoreError
 from tiler.store import layout, lock
 from tiler.store.meta import StoreMeta
-from tiler.store.storage import Storage, failed_write
+from tiler.store.storage import Storage, seal_holds, sealed
 from tiler.store.store import TileStore
 
 
@@ -36,10 +34,8 @@ def create_store(url: str, meta: StoreMeta) -> TileStore:
     if storage.names(""):
         raise ForeignStoreError(f"{url}: holds something else than a tile store; give an empty or new place")
     attributes = {layout.ROOT_ATTRIBUTE: {"schema": layout.SCHEMA_VERSION, **meta.to_json()}}
-    try:
-        zarr.create_group(storage.zarr_store, attributes=attributes, zarr_format=3)
-    except OSError as error:
-        raise failed_write(url, "zarr.json", error) from error
+    root = sealed({"attributes": attributes, "zarr_format": 3, "node_type": "group"})
+    storage.put("zarr.json", json.dumps(root).encode())
     return TileStore(storage, meta)
 
 
@@ -59,11 +55,15 @@ def open_store(url: str) -> TileStore:
         root = json.loads(data)
         description = root["attributes"][layout.ROOT_ATTRIBUTE]
         schema = description["schema"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ForeignStoreError(f"{url}: not a tile store of tiler; give another path") from error
     if schema != layout.SCHEMA_VERSION:
         raise ForeignStoreError(
             f"{url}: store of schema {schema}, this version reads {layout.SCHEMA_VERSION}; run again with --overwrite"
+        )
+    if not seal_holds(root):
+        raise StoreError(
+            f"{url}: zarr.json is damaged, its checksum does not fit; run again with --overwrite"
         )
     try:
         return TileStore(storage, StoreMeta.from_json(description))

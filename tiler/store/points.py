@@ -169,7 +169,7 @@ def lengthen(storage: Storage, path: str, kind: layout.ArrayKind, shape: tuple[i
     """Make the array at ``path``, or lengthen it along its first axis; never shortens."""
     array = arrays.find_array(storage, path, kind) or arrays.create_array(storage, path, shape, kind)
     if array.shape[0] < shape[0]:
-        array.resize(shape)
+        arrays.lengthen_array(storage, path, kind, shape)
 
 
 def delete_rows(storage: Storage, path: str, bucket: Bucket) -> None:

@@ -191,6 +191,22 @@ def parse_json(data: bytes, where: str) -> Any:
     return body
 
 
+SEAL = "tiler_crc32"
+"""Attribute of zarr's metadata: checksum of all the rest of them, of which zarr has none."""
+
+
+def sealed(metadata: dict[str, Any]) -> dict[str, Any]:
+    """Metadata of an array or group with a checksum among its attributes."""
+    bare = {n: v for n, v in metadata.get("attributes", {}).items() if n != SEAL}
+    whole = {**metadata, "attributes": bare}
+    return {**whole, "attributes": {**bare, SEAL: zlib.crc32(_canonical(whole).encode())}}
+
+
+def seal_holds(metadata: dict[str, Any]) -> bool:
+    """Whether metadata are as `sealed` left them; what stores of older versions have, without a checksum, may be."""
+    return SEAL not in metadata["attributes"] or sealed(metadata) == metadata
+
+
 def failed_write(url: str, key: str, error: OSError) -> ProcessingError:
     """The one-line error of a write that the file system refused."""
     return refused_write(f"{url}: {key}", error, local_path(url))

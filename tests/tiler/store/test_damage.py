@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -87,6 +88,38 @@ def test_a_damaged_raster_is_an_error(local_store: TileStore, damage: Callable[[
             local_store.read_block("dtm", block)
     else:  # the block of a tile that failed
         assert np.all(local_store.read_block("dtm", block) == -9999.0)
+
+
+@pytest.mark.parametrize("path", ["points/xyz/zarr.json", "zarr.json"])
+def test_any_flipped_bit_of_the_metadata_is_harmless_or_an_error(filled: TileStore, path: str) -> None:
+    """Never another exception, never other points: zarr would take a shorter shape or another fill as it is."""
+    cell = next(iter(filled.buckets()))
+    truth, metadata = filled.read_bucket(cell).xyz, Path(filled.url, path)
+    whole, noticed = metadata.read_bytes(), 0
+    bits = range(0, 8 * len(whole), 11)
+    for bit in bits:
+        data = bytearray(whole)
+        data[bit // 8] ^= 1 << bit % 8
+        metadata.write_bytes(data)
+        try:
+            found = open_store(filled.url).read_bucket(cell).xyz
+        except StoreError:
+            noticed += 1
+        else:
+            assert np.array_equal(found, truth)
+    assert noticed > 0.9 * len(bits)
+
+
+def test_a_store_of_an_older_version_has_no_checksums(filled: TileStore) -> None:
+    cell = next(iter(filled.buckets()))
+    truth = filled.read_bucket(cell).xyz
+    for path in Path(filled.url).rglob("zarr.json"):
+        content = json.loads(path.read_text())
+        del content["attributes"]["tiler_crc32"]
+        path.write_text(json.dumps(content))
+    store = open_store(filled.url)
+    assert np.array_equal(store.read_bucket(cell).xyz, truth)
+    store.allocate({cell: 10**6})  # lengthens the columns
 
 
 def test_a_damaged_index_is_an_error(filled: TileStore, damage: Callable[[Path], None]) -> None:

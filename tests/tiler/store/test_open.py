@@ -18,6 +18,7 @@ from tiler.core.lattice import Cell, Lattice
 from tiler.core.units import US_SURVEY_FOOT, Units
 from tiler.errors import ConfigError, ForeignStoreError, StoreError
 from tiler.store import StoreMeta, TileStore, create_store, open_store, remove_store
+from tiler.store.storage import sealed
 
 FEET = StoreMeta(
     CoordFrame(Units(US_SURVEY_FOOT, Fraction(3048, 10000)), (-(2**40), 5), 'PROJCS["ä"]'),
@@ -28,9 +29,10 @@ FEET = StoreMeta(
 
 
 def edit(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change metadata as somebody does who sees to their checksum."""
     data = json.loads(path.read_text())
     change(data)
-    path.write_text(json.dumps(data))
+    path.write_text(json.dumps(sealed(data)))
 
 
 def test_the_description_comes_back_exactly(store_url: str) -> None:
