@@ -16,6 +16,7 @@ from tiler.pipeline import run
 from tiler.plan import KEEP
 from tiler.schedule import Guard
 from tiler.store import open_store
+from tiler.targets import Target, check_targets
 
 
 def classify_file(
@@ -49,10 +50,7 @@ def classify_file(
         raise ConfigError(
             "--method keep changes no class; `tiler run --method keep` grids what the input brings"
         )
-    if target.suffix.lower() != ".laz":
-        raise ConfigError(f"{target}: classified clouds are written as LAZ; name it .laz")
-    if target.exists() and target.resolve() == source.resolve():
-        raise ConfigError(f"{target}: is the input; name another output")
+    check_targets([Target("", target, (".laz",))], [source])
     if not source.exists():
         raise ConfigError(f"{source}: no such file")
     with Guard() as guard:

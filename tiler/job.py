@@ -87,7 +87,7 @@ class Job:
     notes: list[str] = field(default_factory=list)
     tiles: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
     damaged: set[str] = field(default_factory=set)
-    lease: Lease | None = None
+    leases: tuple[Lease, ...] = ()
     held: float = field(default_factory=time.monotonic)
 
     def __post_init__(self) -> None:
@@ -158,9 +158,10 @@ class Job:
         return dict(sorted(done.items()))
 
     def _hold(self) -> None:
-        """End this run if another one took the store over, as after a long sleep of this machine."""
-        if self.lease is not None and time.monotonic() - self.held > LEASE_SECONDS / 2:
-            self.lease.check()
+        """End this run if another one took store or OUT over, as after a long sleep of this machine."""
+        if time.monotonic() - self.held > LEASE_SECONDS / 2:
+            for lease in self.leases:
+                lease.check()
             self.held = time.monotonic()
 
     def _finished(self, outcome: Outcome) -> None:

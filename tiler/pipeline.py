@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from tiler.clouds import assemble, spool
 from tiler.config import RunConfig
-from tiler.errors import ConfigError, DamagedError, ProcessingError
+from tiler.errors import ConfigError, DamagedError, ProcessingError, StoreError
 from tiler.healing import ROUNDS, heal
 from tiler.identity import numbered
 from tiler.job import Job, RunResult
@@ -23,8 +23,17 @@ from tiler.places import is_url, joined, put_file
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember
 from tiler.rasters import export, grid
 from tiler.report.html import write_report
-from tiler.results import EVENTS, REPORT, RUN, earlier_digests, earlier_outputs, folder_here
-from tiler.store import TileStore, create_store, open_store, remove_store, store_exists
+from tiler.results import EVENTS, REPORT, RUN, STORE, earlier_digests, earlier_outputs, folder_here
+from tiler.store import (
+    Lease,
+    TileStore,
+    create_store,
+    held_store,
+    locked_folder,
+    open_store,
+    remove_store,
+    store_exists,
+)
 
 STAGES = ("ingest", "filter", "grid", "export")
 
@@ -67,12 +76,10 @@ def run(
     _make_folder(out)
     if not is_url(products):
         products = str(out.resolve())  # workers have folders of their own
-    url = config.store or joined(products, "store.zarr")
-    if config.overwrite:
-        remove_store(url)
-    plan, store = _frozen(plan, url)
-    with store.lock() as lease, _copied(out, products):
-        job = Job(plan, out, products, store, discreet(listener), lease=lease)
+    url = config.store or joined(products, STORE)
+    with _held(out, products, url) as leases, _copied(out, products):
+        plan, store = _frozen(plan, url)
+        job = Job(plan, out, products, store, discreet(listener), leases=leases)
         job.facts["products_at"] = products if is_url(products) else None
         job.facts["earlier_outputs"] = earlier_outputs(out, products)
         job.facts["digests"] = earlier_digests(out, products)
@@ -80,9 +87,21 @@ def run(
         with EventLog(out / EVENTS) as log:
             job.listener = discreet(combine(listener, log))
             result = _locked_run(job, until, started)
-    if config.clean_store and until == "export":
-        remove_store(url)
+        if config.clean_store and until == "export" and (left := remove_store(url)):
+            listener(
+                "note", {"text": f"{url}: the store is removed; {', '.join(left)}: not its own, left there"}
+            )
     return result
+
+
+@contextmanager
+def _held(out: Path, products: str, url: str) -> Iterator[tuple[Lease, ...]]:
+    """Hold OUT and the store for this run alone: two runs on one OUT may have stores of their own."""
+    with ExitStack() as held:
+        folders = [
+            held.enter_context(locked_folder(p)) for p in dict.fromkeys((str(out.resolve()), products))
+        ]
+        yield (*folders, held.enter_context(held_store(url)))
 
 
 @contextmanager
@@ -191,11 +210,11 @@ def _make_folder(out: Path) -> None:
 
 def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
     """The store, and the plan with what its first run settled: frame, buckets, tiles, resolution, thinning."""
-    if not store_exists(url):
-        store = create_store(url, plan.meta)
-        first = {"tile": str(plan.tile), "resolution": str(plan.resolution)}
-        store.put_state("settled", {**first, "memory": plan.memory, "thin": plan.thin_ground})
-        return plan, store
+    if plan.config.overwrite or not store_exists(url):
+        first = {
+            "tile": str(plan.tile), "resolution": str(plan.resolution), "memory": plan.memory, "thin": plan.thin_ground,
+        }  # fmt: skip
+        return plan, create_store(url, plan.meta, first, anew=plan.config.overwrite)
     store = open_store(url)
     old, new = store.meta, plan.meta
     if (old.frame.crs_wkt, old.frame.units) != (new.frame.crs_wkt, new.frame.units):
@@ -207,13 +226,18 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
         raise ConfigError(
             f"{url}: was made without colours, the inputs have some; use --overwrite or another -o"
         )
-    settled: dict[str, Any] = store.get_state("settled") or {}
-    config, frozen = plan.config, Fraction(settled.get("tile", str(plan.tile)))
-    tile = config.tile_size or frozen
-    resolution = config.resolution or Fraction(settled.get("resolution", str(plan.resolution)))
-    memory = settled.get("memory", plan.memory) if tile == frozen else plan.memory
+    config, settled = plan.config, store.settled
+    try:
+        frozen = Fraction(settled["tile"])
+        tile = config.tile_size or frozen
+        resolution = config.resolution or Fraction(settled["resolution"])
+        memory, thin = settled["memory"] if tile == frozen else plan.memory, settled["thin"]
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise StoreError(
+            f"{url}: its description is damaged ({error}); run again with --overwrite"
+        ) from error
     plan = dataclasses.replace(
-        plan, meta=old, tile=tile, resolution=resolution, tile_memory=memory, thin=settled.get("thin")
+        plan, meta=old, tile=tile, resolution=resolution, tile_memory=memory, thin=thin
     )
     refuse(plan, None)
     return plan, store

@@ -24,6 +24,7 @@ from tiler.pipeline import run
 from tiler.plan import Plan, make_plan
 from tiler.schedule import Guard
 from tiler.store import TileStore, open_store
+from tiler.targets import Target, check_targets
 
 WIDEST_M, NARROWEST_M = 200.0, 20.0
 MOST_POINTS = 700_000
@@ -92,8 +93,10 @@ def make_preview(
     TilerError
         As `tiler.pipeline.run` does.
     """
-    config = config or RunConfig()
+    config, picture = config or RunConfig(), Target("-o", target, (".png",))
+    check_targets([picture], [])
     plan = make_plan(inputs, config)
+    check_targets([picture], [*(s.path for s in plan.sources), *(path for path, _ in plan.unreadable)])
     tell = _once(listener)
     for text in plan.notes:
         listener("note", {"text": text})

@@ -16,6 +16,8 @@ from tiler.places import is_url, joined, names_in, read_bytes, sizes_at
 from tiler.shown import without_secrets
 
 RUN, EVENTS, REPORT = "run.json", "events.jsonl", "report.html"
+STORE = "store.zarr"
+"""Folder of the tile store, unless the user names another place."""
 CLASSIFIED = "classified"
 """Folder of the classified clouds."""
 ASIDE = "outdated"

@@ -61,6 +61,8 @@ def command(
     from tiler import check
 
     requirements = check.parse_requirements(require)
+    if figures is not None:
+        check.refuse_figures(figures, dtm, points, strips)
     if figures is not None and points is None:
         raise click.UsageError("--figures draws checkpoints; name them with --points")
     report: dict[str, Any] = {"dtm": str(dtm)}

@@ -74,10 +74,15 @@ def command(
     filters = settings["method"] is not None
     if clouds and filters == bool(references):
         raise click.UsageError("name either --reference REF, or --method NAME to filter labelled clouds")
-    from tiler.evaluate import IGNORED, evaluate_dtm
+    from tiler.evaluate import IGNORED, evaluate_dtm, find_scenes, refuse_targets
     from tiler.observe.progress import open_progress
 
     ignored = IGNORED if ignore is None else parse_classes(ignore)
+    if maps is not None or difference is not None:
+        scenes = find_scenes(clouds, references or clouds) if clouds else []
+        read = [path for scene in scenes for path in (scene.cloud, scene.reference)]
+        rasters = [raster for raster in (dtm, true_dtm) if raster is not None]
+        refuse_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
     facts: dict[str, Any] = {}
     with open_progress(sys.stderr, current_session().quiet) as listener:
         if clouds:

@@ -32,13 +32,14 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
     config = read_config(settings)
     from tiler.places import joined
     from tiler.plan import make_plan, plan_json, plan_lines
+    from tiler.results import STORE
 
     plan = make_plan(inputs, config, out)
     cluster = None
     if config.scheduler is not None:
         from tiler.crew import look_at_cluster
 
-        store = config.store or (None if out is None else joined(out, "store.zarr"))
+        store = config.store or (None if out is None else joined(out, STORE))
         plan, cluster = look_at_cluster(plan, store, out)
     if as_json:
         print_json(plan_json(plan) | ({} if cluster is None else {"cluster": cluster.to_json()}))

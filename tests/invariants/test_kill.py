@@ -88,6 +88,7 @@ def kill_and_resume(peace: Peace, out: Path, waits: list[float]) -> None:
     # A write of the store that was cut off leaves a scratch file in it that nothing reads.
     assert not [path for path in out.rglob("*.partial*") if "store.zarr" not in path.parts]
     assert not (out / "store.zarr" / "lock.json").exists()
+    assert not (out / ".tiler-lock.json").exists()
     assert (
         events_done(out)
         <= {(stage, key): 1 for stage, tasks in finished_tasks(out).items() for key in tasks}.keys()

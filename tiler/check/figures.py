@@ -18,11 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.check.accuracy import pixel_places
-from tiler.errors import InputError
+from tiler.errors import ConfigError, InputError
+from tiler.evaluate.heights import files_of_raster
 from tiler.export.geotiff import raster_errors
 from tiler.export.picture import png_bytes
 from tiler.places import partial_path
 from tiler.shown import shown
+from tiler.targets import Target, check_targets
 
 WIDTH = 760
 HEIGHT = 420
@@ -39,6 +41,28 @@ _BELOW, _ABOVE, _NONE = (33, 102, 172), (178, 24, 43), "#777"
 """A DTM that is too low, too high, and a point without a height."""
 
 Floats = npt.NDArray[np.float64]
+
+
+FILES = ("histogram.svg", "map.svg")
+
+
+def refuse_figures(folder: Path, dtm: Path, points: Path | None, strips: Sequence[str]) -> None:
+    """Raise ConfigError where the drawings of `write_figures` would be written over what the check reads."""
+    reads: list[str | Path] = [*files_of_raster(dtm), *([points] if points is not None else []), *strips]
+    check_targets([Target("--figures", folder / name) for name in FILES], reads)
+    for path in (folder / name for name in FILES):
+        if os.path.lexists(path) and not _is_drawing(path):
+            raise ConfigError(
+                f"{path}: there already, and no drawing of a check; name another folder with --figures"
+            )
+
+
+def _is_drawing(path: Path) -> bool:
+    try:
+        with open(path, "rb") as stream:
+            return _STYLE.encode() in stream.read(4096)
+    except OSError:
+        return False
 
 
 def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, Any]) -> list[str]:
@@ -64,7 +88,7 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, An
         The files cannot be written.
     """
     folder = Path(folder)
-    drawings = {"histogram.svg": histogram(accuracy), "map.svg": point_map(Path(dtm), accuracy)}
+    drawings = dict(zip(FILES, (histogram(accuracy), point_map(Path(dtm), accuracy)), strict=True))
     with raster_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in drawings.items():

@@ -5,7 +5,7 @@
 """
 
 from tiler.evaluate.clouds import evaluate_files
-from tiler.evaluate.heights import evaluate_dtm
+from tiler.evaluate.heights import evaluate_dtm, files_of_raster, refuse_targets
 from tiler.evaluate.labels import IGNORED, confusion, evaluate_labels, scores
 from tiler.evaluate.scenes import MapRequest, Scene, evaluate_scenes, filter_and_evaluate, find_scenes
 
@@ -18,7 +18,9 @@ __all__ = [
     "evaluate_files",
     "evaluate_labels",
     "evaluate_scenes",
+    "files_of_raster",
     "filter_and_evaluate",
     "find_scenes",
+    "refuse_targets",
     "scores",
 ]

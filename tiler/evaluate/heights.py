@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from fractions import Fraction
 from pathlib import Path
@@ -14,6 +14,8 @@ import numpy.typing as npt
 from tiler.core.spread import SpreadTally
 from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
+from tiler.evaluate.maps import refuse_foreign_maps
+from tiler.targets import Target, check_targets
 
 BLOCK = 1024
 """Pixels a side of what is in memory at a time."""
@@ -59,6 +61,7 @@ def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | No
     ProcessingError
         ``difference`` cannot be written.
     """
+    refuse_targets(difference, None, (), (), (dtm, truth))
     tally, both, only_dtm, only_truth = SpreadTally(), 0, 0, 0
     with ExitStack() as stack:
         pair = stack.enter_context(_opened(Path(dtm), Path(truth)))
@@ -82,6 +85,50 @@ def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | No
         **tally.summary(),
         "quantile_step": tally.step,
     }
+
+
+def refuse_targets(
+    difference: Path | str | None,
+    maps: Path | None,
+    names: Sequence[str],
+    clouds: Iterable[Path | str],
+    rasters: Iterable[Path | str],
+) -> None:
+    """Raise ConfigError where `tiler evaluate` would write over what it reads, or under a name of another kind.
+
+    Parameters
+    ----------
+    difference : path, optional
+        As of `evaluate_dtm`.
+    maps : Path, optional
+        Folder of the maps of the errors, ``names`` being those of its files without their suffixes.
+    names : sequence of str
+    clouds, rasters : iterable of path
+        What is read.
+    """
+    targets = [] if difference is None else [Target("--difference", difference, (".tif", ".tiff"))]
+    if maps is not None:
+        targets += [Target("--maps", maps / f"{name}.{kind}") for name in names for kind in ("tif", "png")]
+    check_targets(targets, [*clouds, *(file for raster in rasters for file in files_of_raster(raster))])
+    if maps is not None:
+        refuse_foreign_maps(maps, names)
+
+
+def files_of_raster(path: Path | str) -> list[str]:
+    """The files that a raster is read from: its own, and those of which a VRT is made."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    found, todo = [str(path)], [str(path)]
+    while todo:
+        try:
+            with rasterio.open(todo.pop()) as raster:
+                new = [file for file in raster.files if file not in found]
+        except RasterioError:  # told of when it is read
+            continue
+        found += new
+        todo += [file for file in new if file.lower().endswith(".vrt")]
+    return found
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Sequence
 from fractions import Fraction
@@ -12,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import rasterio
 from affine import Affine
-from rasterio.errors import NotGeoreferencedWarning
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from tiler.core.classes import GROUND
@@ -119,6 +120,26 @@ def _summed(places: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
     places = places[:, order]
     first = np.flatnonzero(np.r_[True, np.any(places[:, 1:] != places[:, :-1], axis=0)])
     return places[:, first], np.add.reduceat(counts[:, order], first, axis=1)
+
+
+def refuse_foreign_maps(folder: Path, names: Sequence[str]) -> None:
+    """Raise ConfigError for a file that has the name of a map of errors and is none."""
+    for tif, png in ((folder / f"{name}.tif", folder / f"{name}.png") for name in names):
+        there = [path for path in (tif, png) if os.path.lexists(path)]
+        if there and not _is_map(tif):
+            raise ConfigError(
+                f"{there[0]}: there already, and no map of errors; name another folder with --maps"
+            )
+
+
+def _is_map(tif: Path) -> bool:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(tif) as raster:
+                return tuple(raster.descriptions) == BANDS
+    except RasterioError:
+        return False
 
 
 def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -> list[str]:

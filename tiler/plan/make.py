@@ -26,7 +26,7 @@ from tiler.plan.area import area_of, part_of
 from tiler.plan.crowd import Crowd
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
 from tiler.plan.model import KEEP, Plan
-from tiler.plan.refuse import refuse, refuse_foreign_files, refuse_own_results, warnings_of
+from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
 from tiler.report import earlier_statistics
 from tiler.schedule import Guards
 from tiler.store import StoreMeta
@@ -59,8 +59,8 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     notes: list[str] = []
     folder = None if out is None or is_url(out) else Path(out)
     paths = find_inputs(inputs, () if folder is None else (folder,), notes.append)
-    if folder is not None:
-        refuse_own_results(paths, folder)
+    if out is not None:
+        refuse_places(config, str(out), paths)
     sources, unreadable = _inspect_all(paths, config)
     agreement = agree(sources, config)
     notes += agreement.notes
@@ -99,7 +99,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     plan = part_of(plan)
     refuse(plan, folder)
     if out is not None:
-        refuse_foreign_files(plan, str(out))
+        refuse_targets(plan, str(out), paths)
     return plan
 
 

@@ -12,13 +12,15 @@ from typing import Any
 
 import psutil
 
+from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import ConfigError
 from tiler.ingest import SourceInfo
-from tiler.places import is_url
+from tiler.places import joined
 from tiler.plan.disk import projected_disk
 from tiler.plan.model import KEEP, Plan
-from tiler.results import CLASSIFIED, folder_here, foreign_files
+from tiler.results import ASIDE, CLASSIFIED, EVENTS, REPORT, RUN, STORE, folder_here, foreign_files
+from tiler.targets import Target, check_folder, check_targets
 
 MAX_DENOMINATOR = 511
 """Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
@@ -74,23 +76,29 @@ def _overlap(bounds: Sequence[Sequence[float]], metres: float, tile: float, halo
     return found
 
 
-def refuse_own_results(paths: Sequence[Path], out: Path) -> None:
-    """Raise ConfigError where a run would overwrite its inputs by what it makes of them."""
-    own = Path(os.path.realpath(out)) / CLASSIFIED
-    for path in paths:
-        if not is_url(path) and Path(os.path.realpath(path)).is_relative_to(own):
-            raise ConfigError(f"{path}: lies in {out}/{CLASSIFIED}, where this run writes; use another -o")
+def refuse_places(config: RunConfig, products: str, paths: Sequence[Path]) -> None:
+    """Raise ConfigError where folders of a run lie where its inputs are, or the store where its files go."""
+    for name in (CLASSIFIED, ASIDE):
+        check_folder("-o", joined(products, name), paths)
+    store = config.store or joined(products, STORE)
+    check_folder("--store", store, [products, *paths, *([config.aoi] if config.aoi is not None else [])])
+    for name in (CLASSIFIED, ASIDE, *config.exported):
+        check_folder("-o", joined(products, name), [store])
 
 
-def refuse_foreign_files(plan: Plan, products: str) -> None:
-    """Raise ConfigError where a run would replace files that no run of its OUT made, unless it may."""
-    if plan.config.force:
-        return
-    exported, sheets = plan.config.exported, plan.config.sheets is not None
+def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
+    """Raise ConfigError where a run would write over what it reads, or over files that no run of its OUT made."""
+    exported, sheets, out = plan.config.exported, plan.config.sheets is not None, folder_here(products)
     wanted = [f"{name}.{'vrt' if sheets else 'tif'}" for name in exported]
     if plan.config.method != KEEP:
         wanted += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
-    found = foreign_files(folder_here(products), products, wanted, exported if sheets else ())
+    places = [joined(products, name) for name in wanted]
+    places += [joined(place, name) for place in (str(out), products) for name in (RUN, EVENTS, REPORT)]
+    reads: list[str | Path] = [*paths, *([plan.config.aoi] if plan.config.aoi is not None else [])]
+    check_targets([Target("-o", place) for place in places], reads)
+    if plan.config.force:
+        return
+    found = foreign_files(out, products, wanted, exported if sheets else ())
     if found:
         more = f" and {len(found) - NAMED:,} more" if len(found) > NAMED else ""
         raise ConfigError(

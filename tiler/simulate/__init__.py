@@ -9,7 +9,7 @@ order. Knows nothing of filters, stores or runs.
 
 from tiler.simulate.als import AlsSensor
 from tiler.simulate.catalogue import SCENES, Scene, SceneSpec, make_scene
-from tiler.simulate.demo import DemoScene, demo_city
+from tiler.simulate.demo import DemoScene, demo_city, demo_files
 from tiler.simulate.dim import DimSensor
 from tiler.simulate.files import describe_scene, write_scene
 from tiler.simulate.points import Points, survey
@@ -19,5 +19,5 @@ from tiler.simulate.terrain import Terrain
 
 __all__ = [
     "SCENES", "SITES", "AlsSensor", "DemoScene", "DimSensor", "Points", "Scene", "SceneSpec", "Site", "Terrain",
-    "demo_city", "describe_scene", "make_scene", "make_site", "scene_points", "survey", "write_scene",
+    "demo_city", "demo_files", "describe_scene", "make_scene", "make_site", "scene_points", "survey", "write_scene",
 ]  # fmt: skip

@@ -41,6 +41,13 @@ class DemoScene:
     points: int
 
 
+def demo_files(folder: Path) -> list[Path]:
+    """The files that `demo_city` writes: clouds, clouds with true classes, true terrain."""
+    names = [f"city_{name}.laz" for name in PARTS]
+    truth = folder / "truth"
+    return [*(folder / n for n in names), *(truth / n for n in names), truth / "dtm.tif"]
+
+
 def demo_city(
     folder: Path | str,
     seed: int = 1,
@@ -65,11 +72,11 @@ def demo_city(
     folder = Path(folder)
     (folder / "truth").mkdir(parents=True, exist_ok=True)
     site, sensor = city(seed, side_m), sensor or AlsSensor()
-    paths = tuple(folder / f"city_{name}.laz" for name in PARTS)
-    truth_paths = tuple(folder / "truth" / path.name for path in paths)
-    with ExitStack() as files:
+    files = demo_files(folder)
+    paths, truth_paths, dtm_path = tuple(files[:4]), tuple(files[4:8]), files[8]
+    with ExitStack() as open_files:
         clouds, truths = (
-            [files.enter_context(CloudWriter(path)) for path in group] for group in (paths, truth_paths)
+            [open_files.enter_context(CloudWriter(path)) for path in group] for group in (paths, truth_paths)
         )
         # The rim would cost half as much again for the last metre or two of the city.
         for index in patches(sensor, side_m, rim=False):
@@ -79,6 +86,5 @@ def demo_city(
                 inside = points.take(part == number)
                 clouds[number].write(inside, np.where(inside.label == UNCLASSIFIED, 0, 1).astype(np.uint8))
                 truths[number].write(inside)
-    dtm_path = folder / "truth" / "dtm.tif"
     write_dtm(dtm_path, site, dtm_m)
     return DemoScene(paths, truth_paths, dtm_path, site.terrain, sum(cloud.points for cloud in clouds))

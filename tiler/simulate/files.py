@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -113,7 +114,8 @@ def write_scene(
     Raises
     ------
     ConfigError
-        The name is no LAZ or LAS, or ``pixel_m`` out of range.
+        The name is no LAZ or LAS, a raster of the terrain's name is there without a cloud, or ``pixel_m`` is out of
+        range.
     ProcessingError
         A file cannot be written.
     """
@@ -122,13 +124,15 @@ def write_scene(
         raise ConfigError(f"{path}: a simulated cloud is LAZ or LAS; name it .laz")
     _within("--resolution", pixel_m, *PIXEL_RANGE_M, "m")
     dtm = path.with_name(f"{path.stem}_dtm.tif")
+    if os.path.lexists(dtm) and not os.path.lexists(path):
+        raise ConfigError(f"{dtm}: there already, without the cloud that it would be of; name another cloud")
     part, dtm_part = (partial_path(target) for target in (path, dtm))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         counts = _write_cloud(part, path.suffix.lower() == ".laz", spec, listener)
         write_dtm(dtm_part, spec.make_site(), pixel_m)
-        dtm_part.replace(dtm)
         part.replace(path)
+        dtm_part.replace(dtm)
     except OSError as error:
         raise ProcessingError(
             f"{path}: cannot be written ({error.strerror or error}); see to space and rights"

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from tiler.store.commits import Commits
 from tiler.store.index import BucketInfo
-from tiler.store.lock import LEASE_SECONDS, Lease
+from tiler.store.lock import LEASE_SECONDS, Lease, locked_folder
 from tiler.store.meta import StoreMeta
-from tiler.store.opening import create_store, open_store, remove_store, store_exists
+from tiler.store.opening import create_store, held_store, open_store, remove_store, store_exists
 from tiler.store.storage import Usage
 from tiler.store.store import TileStore
 
@@ -22,6 +22,8 @@ __all__ = [
     "TileStore",
     "Usage",
     "create_store",
+    "held_store",
+    "locked_folder",
     "open_store",
     "remove_store",
     "store_exists",

@@ -27,7 +27,7 @@ import numpy as np
 
 from tiler.errors import StoreError
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 ROOT_ATTRIBUTE = "tiler_store"
 
 ROW_POINTS = 131072
@@ -179,7 +179,30 @@ def state_key(name: str) -> str:
     return f"state/{safe(name)}.json"
 
 
-_SAFE = re.compile(r"[A-Za-z0-9_+=-][A-Za-z0-9._+=-]{0,199}")
+_NAME = r"[A-Za-z0-9_+=-][A-Za-z0-9._+=-]{0,199}"
+_SAFE = re.compile(_NAME)
+_HEX = "[0-9a-f]{32}"
+_KEYS = re.compile(
+    r"zarr\.json|lock\.json"
+    rf"|(points|labels|rasters|spool)/({_NAME}/)?zarr\.json"
+    rf"|(points|labels|rasters|spool)/{_NAME}/c(/[0-9]+)+"
+    rf"|index/(current\.json|{_HEX}\.npy)"
+    rf"|commits/{_NAME}/{_NAME}\.json|(packs|state)/{_NAME}\.json|trial/{_HEX}"
+)
+# What zarr's local store writes before it renames.
+_SCRATCH = re.compile(
+    rf"((points|labels|rasters|spool|index|commits|packs|state|trial)/(.+/)?)?[^/]+\.{_HEX}\.partial"
+)
+
+
+def is_scratch(key: str) -> bool:
+    """Whether a key is that of a write of zarr that was killed."""
+    return _SCRATCH.fullmatch(key) is not None
+
+
+def is_ours(key: str) -> bool:
+    """Whether a key is one of the layout: whatever else lies in the folder of a store is somebody else's."""
+    return _KEYS.fullmatch(key) is not None or is_scratch(key)
 
 
 def safe(name: str) -> str:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import json
-import shutil
+import os
 import zlib
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from zarr.storage import FsspecStore, LocalStore
 from tiler.errors import ConfigError, ProcessingError, StoreError, refused_write
 from tiler.places import refuse_unescaped
 from tiler.shown import stored
+from tiler.store import layout
 
 # Parallelism is over processes: one thread decodes here. The requests of one read still overlap, which is
 # what an object store needs and what costs nothing on a local disk.
@@ -123,24 +125,40 @@ class Storage:
         if self.exists():
             sync(self.zarr_store.delete(key))
 
-    def delete_folder(self, prefix: str) -> None:
-        """Remove every object below ``prefix``."""
-        if self.exists():
-            sync(self.zarr_store.delete_dir(prefix))
+    def delete_folder(self, prefix: str, keep: Collection[str] = ()) -> None:
+        """Remove every object of the layout below ``prefix`` but those of ``keep``; then the folders that are empty.
 
-    def delete_everything(self) -> None:
-        """Remove every object, and the folder of a local store."""
+        Files of somebody else stay, and so does a folder that is a link.
+        """
         if self.root is not None:
-            shutil.rmtree(self.root, ignore_errors=False)
-        else:
-            # Not `clear`: on fsspec it stops, silently, at the first folder that went with the one above it.
-            sync(self.zarr_store.delete_dir(""))
+            self._delete_files(self.root / prefix, lambda key: layout.is_ours(key) and key not in keep)
+            return
+        from fsspec.core import url_to_fs
+
+        filesystem, root = url_to_fs(self.url)
+        filesystem.invalidate_cache()
+        found = {
+            name: name.removeprefix(root).lstrip("/")
+            for name in filesystem.find(f"{root}/{prefix}".rstrip("/"))
+        }
+        gone = [name for name, key in found.items() if layout.is_ours(key) and key not in keep]
+        if gone:
+            filesystem.rm(gone)
+
+    def _delete_files(self, folder: Path, unwanted: Callable[[str], bool]) -> None:
+        """Remove files below a folder of a local store by their keys, and the folders that are empty then."""
+        assert self.root is not None  # the callers' choice
+        for place, _, names in os.walk(folder, topdown=False):
+            for path in (Path(place, name) for name in names):
+                if unwanted(path.relative_to(self.root).as_posix()):
+                    path.unlink(missing_ok=True)
+            with suppress(OSError):
+                os.rmdir(place)
 
     def remove_scratch(self) -> None:
         """Remove what killed writes left on a local disk; object stores have no such thing."""
         if self.root is not None:
-            for path in self.root.rglob("*.partial"):
-                path.unlink(missing_ok=True)
+            self._delete_files(self.root, layout.is_scratch)
 
     def names(self, prefix: str) -> list[str]:
         """Sorted names of the objects and folders directly below ``prefix``."""

@@ -30,11 +30,14 @@ class TileStore:
     ----------
     url : str
     meta : StoreMeta
+    settled : mapping
+        What the first run decided for all later ones.
     """
 
-    def __init__(self, storage: Storage, meta: StoreMeta) -> None:
+    def __init__(self, storage: Storage, meta: StoreMeta, settled: Mapping[str, Any] | None = None) -> None:
         self.url = storage.url
         self.meta = meta
+        self.settled = dict(settled or {})
         self._storage = storage
         self._points = points.PointColumns(storage, meta.has_rgb)
         self._index: BucketIndex | None = None

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from tiler.errors import LockedError
-from tiler.store import StoreMeta, create_store, lock, open_store, remove_store
+from tiler.store import StoreMeta, create_store, lock, locked_folder, open_store, remove_store
 from tiler.store.layout import LOCK_KEY
 from tiler.store.storage import Storage
 
@@ -32,7 +32,7 @@ def lease(**changes: Any) -> dict[str, Any]:
     now = time.time()
     body = {
         "token": "x",
-        "host": socket.gethostname(),
+        **lock._here(),
         "pid": me.pid,
         "started": lock._start_of(me.pid),
         "since": now,
@@ -160,3 +160,37 @@ def test_a_lease_of_a_host_with_another_clock_holds_while_it_is_renewed(
     monkeypatch.setattr(time, "sleep", renewed_meanwhile)
     with pytest.raises(LockedError, match="on elsewhere"), store.lock():
         pass
+
+
+@pytest.mark.parametrize("other", [{"pid_namespace": "pid:[1]"}, {"boot": "another"}])
+def test_a_process_number_of_another_container_says_nothing(
+    other: dict[str, Any], store_url: str, meta: StoreMeta
+) -> None:
+    """Containers of one machine may have one name: no such process here is no word on the one there."""
+    store = create_store(store_url, meta)
+    Storage(store_url).put_json(LOCK_KEY, lease(pid=2**22 + 1, **other))
+    with (
+        pytest.raises(LockedError, match=r"wait for it, or stop it; if it was killed, its lease ends 120 s"),
+        store.lock(),
+    ):
+        pass
+    Storage(store_url).put_json(LOCK_KEY, lease(pid=2**22 + 1, renewed=time.time() - 1000, **other))
+    with store.lock() as held:
+        held.check()
+
+
+def test_a_lease_names_boot_and_processes(store_url: str, meta: StoreMeta) -> None:
+    with create_store(store_url, meta).lock():
+        body = Storage(store_url).get_json(LOCK_KEY)
+    if Path("/proc/self/ns/pid").exists():
+        assert body["boot"] == Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        assert body["pid_namespace"].startswith("pid:[")
+
+
+def test_a_folder_of_results_has_a_lease_of_its_own(tmp_path: Path, meta: StoreMeta) -> None:
+    with locked_folder(str(tmp_path)):
+        with pytest.raises(LockedError, match=f"{tmp_path}: in use by process"), locked_folder(str(tmp_path)):
+            pass
+        with create_store(str(tmp_path / "store.zarr"), meta).lock():
+            pass
+    assert [p.name for p in tmp_path.iterdir()] == ["store.zarr"]

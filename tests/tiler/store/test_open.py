@@ -15,10 +15,12 @@ import zarr
 
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
+from tiler.core.points import PointBlock
+from tiler.core.raster import Block
 from tiler.core.units import US_SURVEY_FOOT, Units
 from tiler.errors import ConfigError, ForeignStoreError, StoreError
-from tiler.store import StoreMeta, TileStore, create_store, open_store, remove_store
-from tiler.store.storage import sealed
+from tiler.store import StoreMeta, TileStore, create_store, held_store, layout, open_store, remove_store
+from tiler.store.storage import Storage, sealed
 
 FEET = StoreMeta(
     CoordFrame(Units(US_SURVEY_FOOT, Fraction(3048, 10000)), (-(2**40), 5), 'PROJCS["ä"]'),
@@ -75,7 +77,7 @@ def test_other_content_is_neither_used_nor_deleted(tmp_path: Path, meta: StoreMe
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(StoreError, match="holds something else"):
         create_store(str(tmp_path), meta)
-    with pytest.raises(StoreError, match="remove it yourself"):
+    with pytest.raises(StoreError, match="holds something else"):
         remove_store(str(tmp_path))
     assert (tmp_path / "thesis.tex").exists()
 
@@ -155,3 +157,94 @@ def test_a_file_is_no_place_for_a_store(tmp_path: Path, meta: StoreMeta) -> None
     with pytest.raises(ForeignStoreError, match="is a file") as caught:
         create_store(str(tmp_path / "store.zarr"), meta)
     assert caught.value.exit_code == 2, "another place has to be named: nothing was wrong with the work"
+
+
+def test_only_what_is_the_stores_own_is_removed(filled: TileStore) -> None:
+    root = Path(filled.url)
+    mine = [
+        "notes.txt",
+        "points/notes.txt",
+        "points/xyz/c/0/notes",
+        "state/notes.md",
+        "clouds/a.laz",
+        "a.partial",
+    ]
+    mine += ["spool/s0/a.laz", "commits/filter0/notes.txt"]
+    for name in mine:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text("mine")
+    (root / "points" / "link").symlink_to(root / "clouds")
+    scratch = root / "points" / "xyz" / "c" / f"0.{'0a' * 16}.partial"
+    scratch.write_bytes(b"killed")
+    filled.write_piece("s0", _no_points(), [])
+    filled.drop_spool()
+    filled.tidy()
+    assert not scratch.exists()
+    left = remove_store(filled.url)
+    assert left == ["a.partial", "clouds", "commits", "notes.txt", "points", "spool", "state"]
+    assert sorted(str(p.relative_to(root)) for p in root.rglob("*") if p.is_file()) == sorted(mine)
+    assert (root / "points" / "link").is_symlink()
+    with pytest.raises(ForeignStoreError, match="holds something else than a tile store"):
+        create_store(filled.url, filled.meta)
+
+
+def _no_points() -> PointBlock:
+    none = np.empty(0, np.uint8)
+    return PointBlock(
+        np.empty((3, 0), np.int32), none, none, np.empty((2, 0), np.uint8), np.empty((3, 0), np.uint16),
+        np.empty(0, np.int64),
+    )  # fmt: skip
+
+
+def test_a_store_that_is_begun_anew_keeps_what_others_put_there(store_url: str, meta: StoreMeta) -> None:
+    create_store(store_url, meta, {"tile": "64"}).put_state("plan", 1)
+    Storage(store_url).put("notes.txt", b"mine")
+    store = create_store(store_url, FEET, {"tile": "32"}, anew=True)
+    assert store.get_state("plan") is None
+    again = open_store(store_url)
+    assert (again.meta, again.settled) == (FEET, {"tile": "32"})
+    assert Storage(store_url).get("notes.txt") == b"mine"
+
+
+def test_all_keys_of_a_store_are_known(filled: TileStore) -> None:
+    filled.write_piece("s0", _no_points(), [])
+    filled.write_labels("labels-1", *_labels(filled))
+    filled.create_raster("dtm", 3, 3)
+    filled.write_block("dtm", Block(0, 0, 3, 3), np.ones((3, 3), np.float32))
+    filled.commit("export", "dtm.tif", "0", {})
+    filled.put_state("sources", {})
+    with filled.lock():
+        root = Path(filled.url)
+        keys = [p.relative_to(root).as_posix() for p in root.rglob("*") if p.is_file()]
+        assert len(keys) > 12
+        assert all(map(layout.is_ours, keys))
+
+
+def _labels(store: TileStore) -> tuple[Cell, np.ndarray]:
+    cell, info = next(iter(store.buckets().items()))
+    return cell, np.ones(info.n, np.uint8)
+
+
+def test_a_store_that_is_a_link_works(tmp_path: Path, meta: StoreMeta) -> None:
+    disk, link = tmp_path / "disk", tmp_path / "store.zarr"
+    link.symlink_to(disk)
+    with pytest.raises(ForeignStoreError, match="is a link to nothing; make what it leads to"):
+        create_store(str(link), meta)
+    disk.mkdir()
+    create_store(str(link), meta).put_state("plan", 1)
+    assert remove_store(str(link)) == []
+    assert link.is_symlink()
+    assert not list(disk.iterdir())
+    create_store(str(link), meta)
+    assert (disk / "zarr.json").exists()
+
+
+@pytest.mark.parametrize("name", ["lock.json", "points/a.laz", "zarr.json"])
+def test_a_place_that_only_looks_like_a_stores_is_not_held(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text('{"attributes": {"text": "tiler_store"}}')
+    with pytest.raises(ForeignStoreError), held_store(str(tmp_path)):
+        pass
+    with pytest.raises(ForeignStoreError):
+        remove_store(str(tmp_path))
+    assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == [Path(name).name]
