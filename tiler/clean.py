@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError
-from tiler.store import open_store
-
-SCRATCH = ("*.partial", "*.partial.*")
+from tiler.places import is_scratch
+from tiler.results import STORE, earlier_outputs, read_run
+from tiler.store import locked_folder, open_store
 
 
 def clean(out: Path, store_url: str | None = None) -> dict[str, Any]:
@@ -38,21 +38,16 @@ def clean(out: Path, store_url: str | None = None) -> dict[str, Any]:
     StoreError
         It has no store.
     LockedError
-        A run is at work on it.
+        A run is at work on the folder or its store.
     """
     if not out.is_dir():
         raise ConfigError(f"{out}: no such folder; name the OUT of a run")
     store = open_store(store_url or _store_of(out))
-    with store.lock():
+    with locked_folder(str(out.resolve())), store.lock():
         before = store.usage()
         store.tidy()
         after = store.usage()
-        scratch = [
-            path
-            for pattern in SCRATCH
-            for path in sorted(out.rglob(pattern))
-            if path.is_file() and out / "store.zarr" not in path.parents
-        ]
+        scratch = list(_scratch(out))
         sizes = [path.stat().st_size for path in scratch]
         for path in scratch:
             path.unlink(missing_ok=True)
@@ -64,10 +59,18 @@ def clean(out: Path, store_url: str | None = None) -> dict[str, Any]:
     }
 
 
+def _scratch(out: Path) -> Iterator[Path]:
+    """Files that killed writes left, by the names that tiler gives them, in the folders into which it writes."""
+    if read_run(str(out)) is None:
+        return
+    folders = {out, *((out / path).parent for path in earlier_outputs(out, str(out.resolve())))}
+    for folder in sorted(folders):
+        if folder.is_dir() and folder.resolve().is_relative_to(out.resolve()):
+            yield from sorted(path for path in folder.iterdir() if is_scratch(path.name) and path.is_file())
+
+
 def _store_of(out: Path) -> str:
     """The store that the run of a folder used."""
-    try:
-        named = json.loads((out / "run.json").read_text())["configuration"]["store"]
-    except (OSError, ValueError, KeyError, TypeError):
-        named = None
-    return str(named or out.resolve() / "store.zarr")
+    configuration = (read_run(str(out)) or {}).get("configuration")
+    named = configuration.get("store") if isinstance(configuration, dict) else None
+    return str(named or out.resolve() / STORE)
