@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.errors import InputError
+from tiler.jsontext import excerpt
 
 NVA, VVA = "NVA", "VVA"
 """Non-vegetated and vegetated vertical accuracy."""
@@ -156,10 +157,10 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
         text = found[axis]
         try:
             number = float(text if text is not None else "")
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             number = math.nan
         if not math.isfinite(number):
-            what = "is missing" if text is None else f"{str(text)!r} is no number (1234.5, with a point)"
+            what = "is missing" if text is None else f"{excerpt(text)} is no number (1234.5, with a point)"
             raise InputError(f"{place}: {axis} {what}")
         numbers.append(number)
     kind, cover, name = ("" if (v := found[k]) is None else str(v).strip() for k in ("kind", "cover", "name"))
@@ -174,7 +175,9 @@ def _kind(path: Path, text: str) -> str:
     """NVA or VVA; empty is NVA."""
     kind = text.upper() or NVA
     if kind not in (NVA, VVA):
-        raise InputError(f"{path}: type {text!r} is neither NVA nor VVA; name land cover in a column `cover`")
+        raise InputError(
+            f"{path}: type {excerpt(text)} is neither NVA nor VVA; name land cover in a column `cover`"
+        )
     return kind
 
 
@@ -188,18 +191,22 @@ def _csv_rows(path: Path) -> Iterator[Row]:
         return
     first = numbered[0][1]
     delimiter = max(";\t,", key=first.count)
-    records = zip(
-        (i for i, _ in numbered), csv.reader((s for _, s in numbered), delimiter=delimiter), strict=True
-    )
-    head = [cell.strip().lower() for cell in next(csv.reader([first], delimiter=delimiter))]
+    # Each line alone: a quote that is never closed must not swallow the lines after it.
+    head = [cell.strip().lower() for cell in _cells(first, delimiter, f"{path}: line {numbered[0][0]}")]
+    names: Sequence[str] = head
     if _is_number(head[0]) or (len(head) > 1 and _is_number(head[1])):
-        names: Iterable[str] = _ORDER
-    else:
-        names = head
-        next(records)
-    for number, record in records:
-        cells = {name: text.strip() for name, text in zip(names, record, strict=False) if text.strip()}
-        yield row_of(cells, f"{path}: line {number}")
+        names = _ORDER
+    for number, line in numbered if names is _ORDER else numbered[1:]:
+        place = f"{path}: line {number}"
+        cells = zip(names, _cells(line, delimiter, place), strict=False)
+        yield row_of({name: text.strip() for name, text in cells if text.strip()}, place)
+
+
+def _cells(line: str, delimiter: str, place: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=delimiter, strict=True))
+    except csv.Error as error:
+        raise InputError(f"{place}: is no line of a table ({error}); see to its quotes") from error
 
 
 def _is_number(text: str) -> bool:

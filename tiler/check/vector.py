@@ -8,6 +8,7 @@ from typing import Any
 
 from tiler.check.points import Row, row_of
 from tiler.errors import InputError
+from tiler.jsontext import excerpt, member
 from tiler.vector import geometry_of, read_features, read_layer
 
 _POINT = 1
@@ -19,10 +20,15 @@ def geojson_rows(path: Path) -> tuple[list[Row], str]:
     rows = []
     for number, feature in enumerate(features, start=1):
         place = f"{path}: feature {number}"
-        geometry = feature.get("geometry") or {}
-        if geometry.get("type") != "Point":
-            raise InputError(f"{place}: is a {geometry.get('type') or 'feature without place'}, not a Point")
-        rows.append(_row(geometry.get("coordinates") or (), feature.get("properties") or {}, place))
+        geometry = member(feature, "geometry")
+        kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+        if kind != "Point":
+            raise InputError(
+                f"{place}: is a {excerpt(kind) if kind else 'feature without place'}, not a Point"
+            )
+        if not isinstance(coordinates, list):
+            raise InputError(f"{place}: its coordinates are {excerpt(coordinates)}, not [x, y, z]")
+        rows.append(_row(coordinates, member(feature, "properties"), place))
     return rows, crs
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import InputError
+from tiler.jsontext import excerpt
+from tiler.shown import printable
 
 _ENVELOPE_BYTES = (0, 32, 48, 48, 64)
 _EMPTY = 0x10
@@ -47,9 +49,10 @@ def read_layer(path: Path, kinds: Collection[str], wanted: str) -> Layer:
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
             base.row_factory = sqlite3.Row
+            base.text_factory = lambda text: text.decode("utf-8", "replace")
             return _layer(path, base, kinds, wanted)
-    except sqlite3.Error as error:
-        raise InputError(f"{path}: not a GeoPackage that can be read ({error})") from error
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # damaged text is in messages of sqlite as well
+        raise InputError(f"{path}: not a GeoPackage that can be read ({printable(str(error))})") from error
 
 
 def _layer(path: Path, base: sqlite3.Connection, kinds: Collection[str], wanted: str) -> Layer:
@@ -59,25 +62,33 @@ def _layer(path: Path, base: sqlite3.Connection, kinds: Collection[str], wanted:
         tuple(kinds),
     ).fetchall()
     if len(layers) != 1:
-        names = ", ".join(layer["table_name"] for layer in layers) or "none"
+        names = ", ".join(printable(str(layer["table_name"])) for layer in layers) or "none"
         raise InputError(
             f"{path}: needs one layer of {wanted}, has {len(layers)} ({names}); "
             f"write one with `ogr2ogr {wanted}.gpkg FILE LAYER`"
         )
     table, column, srs = layers[0]
+    rows = base.execute(f'SELECT * FROM "{_quoted(str(table))}"')
+    columns = [name for name, *_ in rows.description]
+    geometry = next((i for i, name in enumerate(columns) if name.lower() == str(column).lower()), None)
+    if geometry is None:
+        raise InputError(
+            f"{path}: layer {printable(str(table))} has no column {excerpt(column)}, which should hold its {wanted}"
+        )
     records = [
-        (row[column], {name: row[name] for name in row.keys() if name != column})  # noqa: SIM118 - a Row
-        for row in base.execute(f'SELECT * FROM "{_quoted(table)}"')
+        (row[geometry], {name: row[i] for i, name in enumerate(columns) if i != geometry}) for row in rows
     ]
     found = base.execute(
         "SELECT organization, organization_coordsys_id, definition FROM gpkg_spatial_ref_sys WHERE srs_id = ?",
         (srs,),
     ).fetchone()
     if found is None or srs in (-1, 0):
-        return Layer(table, records, None)
+        return Layer(printable(str(table)), records, None)
     if str(found["organization"]).upper() in ("NONE", ""):
-        return Layer(table, records, str(found["definition"]))
-    return Layer(table, records, f"{found['organization']}:{found['organization_coordsys_id']}")
+        return Layer(printable(str(table)), records, str(found["definition"]))
+    return Layer(
+        printable(str(table)), records, f"{found['organization']}:{found['organization_coordsys_id']}"
+    )
 
 
 def _quoted(name: str) -> str:

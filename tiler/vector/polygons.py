@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.errors import InputError
+from tiler.jsontext import excerpt, member
 from tiler.vector.geojson import read_features
 from tiler.vector.geopackage import geometry_of, read_layer
 from tiler.vector.shapefile import read_shapes
@@ -89,19 +90,19 @@ def read_polygons(path: Path | str) -> Polygons:
 
 
 def _from_json(feature: dict[str, Any], place: str) -> list[list[Ring]]:
-    geometry = feature.get("geometry")
-    if geometry is None:
+    if feature.get("geometry") is None:
         return []
-    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    geometry = member(feature, "geometry")
+    kind = geometry.get("type")
     if kind not in ("Polygon", "MultiPolygon"):
-        raise InputError(f"{place}: is a {kind or 'feature without place'}, not a Polygon")
+        raise InputError(f"{place}: is a {excerpt(kind) if kind else 'feature without place'}, not a Polygon")
     coordinates = geometry.get("coordinates") or []
     try:
         return [
             [np.array([[float(v) for v in p[:2]] for p in ring], np.float64).reshape(-1, 2) for ring in rings]
             for rings in ([coordinates] if kind == "Polygon" else coordinates)
         ]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{place}: its coordinates are damaged ({error})") from error
 
 

@@ -64,11 +64,11 @@ def test_shapefile(tmp_path: Path, kind: int) -> None:
     [
         ("a.kml", "", r"polygons are read from .gpkg, .geojson, .json and .shp files; convert it"),
         ("a.geojson", "{", "not valid GeoJSON"),
-        ("a.json", "[]", "no GeoJSON FeatureCollection; write the polygons as features"),
+        ("a.json", "[]", r"not valid GeoJSON \(holds no object\); write the polygons as features"),
         ("a.json", json.dumps(collection()), "holds no polygon"),
         ("a.json", json.dumps({"type": "FeatureCollection", "features": [7]}), "its features are no objects"),
         ("a.json", json.dumps(collection({"type": "Point", "coordinates": [1, 2]})),
-         "feature 1: is a Point, not a Polygon"),
+         "feature 1: is a 'Point', not a Polygon"),
         ("a.json", json.dumps(collection({"type": "Polygon", "coordinates": [[[1, 2], [3, "x"], [5, 6]]]})),
          "feature 1: its coordinates are damaged"),
         ("a.json", json.dumps(collection({"type": "Polygon", "coordinates": [[[1, 2], [3, 4]]]})),
