@@ -43,6 +43,13 @@ def read_run(place: str) -> dict[str, Any] | None:
     return found if isinstance(found, dict) and found.keys() >= _KEYS else None
 
 
+def is_results(place: str) -> bool:
+    """Whether a folder or URL holds results of a run, also where its run.json was damaged since."""
+    if read_run(place) is not None:
+        return True
+    return all(size is not None for size in sizes_at([joined(place, name) for name in (RUN, EVENTS)]))
+
+
 def below(out: str, place: str) -> str:
     """The path in OUT of a file at a path or URL."""
     return place.removeprefix(out.rstrip("/")).lstrip("/")

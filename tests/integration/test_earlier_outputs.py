@@ -102,3 +102,20 @@ def test_a_list_that_leads_elsewhere_moves_nothing(cloud: Path, tmp_path: Path) 
     (out / "run.json").write_text(json.dumps(found))
     do(cloud, out)
     assert precious.read_bytes() == b"mine"
+
+
+def test_a_folder_that_is_input_and_out_reads_only_what_the_user_put_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a", "b"):
+        clouds.write(tmp_path / "site" / f"{name}.laz", clouds.city(60.0, 1.0))
+    monkeypatch.chdir(tmp_path / "site")
+    do(Path("."), Path("."))
+    Path("b.laz").unlink()
+    alone = do(Path("."), Path("."))
+    assert [entry["path"] for entry in alone.summary["inputs"]] == ["a.laz"]
+    assert Path("outdated/classified/b.laz").is_file()
+    again = do(Path("."), Path("."))
+    assert again.did_nothing
+    parent = do(tmp_path, tmp_path / "whole")
+    assert [Path(entry["path"]).name for entry in parent.summary["inputs"]] == ["a.laz"]

@@ -68,7 +68,7 @@ def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
     """
     from tiler.ingest import find_inputs, inspect
 
-    paths = find_inputs(clouds)
+    paths = find_inputs(clouds, results=True)
     place = inspect(paths[0]).georeference
     horizontal = place.horizontal or METRE
     vertical = place.vertical or horizontal

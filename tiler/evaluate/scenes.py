@@ -94,7 +94,7 @@ def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
 
     found: dict[Path, str] = {}
     for text in paths:
-        for path in find_inputs([text]):
+        for path in find_inputs([text], results=True):
             base = Path(text) if Path(text).is_dir() else path.parent
             found.setdefault(path, path.relative_to(base).with_suffix("").as_posix())
     return list(found.items())

@@ -9,10 +9,10 @@ from tiler.ingest.assemble import assemble_buckets
 from tiler.ingest.georeference import Agreement, Georeference, agree, same_horizontal, split
 from tiler.ingest.patches import Patch
 from tiler.ingest.requantise import bounds_in_counts
+from tiler.ingest.search import find_inputs
 from tiler.ingest.sources import (
     SourceInfo,
     claimed_bounds,
-    find_inputs,
     inspect,
     inspect_guarded,
     pieces,

@@ -1,18 +1,16 @@
-"""Which files there are, what each of them holds, and how it is read in pieces."""
+"""What each input holds, and how it is read in pieces."""
 
 from __future__ import annotations
 
-import glob
 import math
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
-from tiler.errors import ConfigError, InputError
+from tiler.errors import InputError
 from tiler.ingest.extent import find_extent
 from tiler.ingest.georeference import Georeference, georeference
 from tiler.ingest.patches import Patch
@@ -20,16 +18,10 @@ from tiler.las.columns import RGB_FORMATS
 from tiler.las.headers import read_header
 from tiler.las.laz import LazLayout
 from tiler.las.reader import count_decodable, rows_at_once
-from tiler.places import State, is_url, list_clouds, stat_cloud
-from tiler.results import CLASSIFIED
+from tiler.places import State, stat_cloud
 from tiler.schedule.guard import Died, Guard
 
 Read = TypeVar("Read")
-
-SUFFIXES = (".las", ".laz")
-
-OF_A_RUN = frozenset(("run.json", "events.jsonl"))
-"""Files that tell an OUT."""
 
 INSPECTION_SECONDS = 60.0
 BYTES_PER_SECOND = 1e6
@@ -110,106 +102,6 @@ class SourceInfo:
             "crs": self.georeference.name or None, "bounds": self.bounds and list(self.bounds),
             "notes": list(self.notes),
         }  # fmt: skip
-
-
-def find_inputs(
-    paths: Sequence[str | Path],
-    exclude: Sequence[Path] = (),
-    note: Callable[[str], None] = lambda text: None,
-) -> list[Path]:
-    """The LAS and LAZ files of files, folders (recursively) and globs, sorted, each once.
-
-    Parameters
-    ----------
-    paths : sequence of str
-    exclude : sequence of Path
-        Folders that are not looked into (the run's own output).
-    note : callable
-        Told of what is left out, and of a file that was named twice.
-
-    Raises
-    ------
-    ConfigError
-        A path that is not there, or no path at all.
-    InputError
-        No LAS or LAZ among them.
-    """
-    if not paths:
-        raise ConfigError("no input; name LAS or LAZ files, folders or globs")
-    barred = {p.resolve() for p in exclude}
-    found: dict[Path, Path] = {}
-    told: list[str] = []
-
-    def tell(text: str) -> None:
-        told.append(text)
-        note(text)
-
-    for text in paths:
-        for path in _expand(str(text), barred, tell):
-            # Not `Path.resolve`, which fails for a link that leads in a circle: that is told of when it is read.
-            real = path if is_url(path) else Path(os.path.realpath(path))
-            if real in found:
-                tell(f"{path}: named twice (as {found[real]}), read once")
-            else:
-                found[real] = path
-    if not found:
-        raise InputError(
-            f"{', '.join(map(str, paths))}: no .las or .laz file there"
-            + "".join(f" ({text})" for text in told[:1])
-            + "; name files, folders or globs"
-        )
-    return sorted(found.values(), key=lambda path: (is_url(path), str(path) if is_url(path) else path))
-
-
-def _expand(text: str, barred: set[Path], note: Callable[[str], None]) -> Iterator[Path]:
-    if is_url(text):
-        yield from list_clouds(text, SUFFIXES)
-        return
-    if not text:
-        raise ConfigError("an input has no name at all; name LAS or LAZ files, folders or globs")
-    path = Path(text)
-    try:
-        is_folder, is_there = path.is_dir(), path.exists() or path.is_symlink()
-    except OSError as error:
-        raise ConfigError(f"{text}: {error.strerror}; name LAS or LAZ files, folders or globs") from error
-    if is_folder:
-        yield from _walk(path, barred, note)
-    elif is_there:
-        yield path
-    else:
-        matches = sorted(glob.glob(text, recursive=True))
-        if not matches:
-            raise ConfigError(f"{text}: no such file or folder; name LAS or LAZ files, folders or globs")
-        own = [folder / CLASSIFIED for folder in barred]
-        for match in map(Path, matches):
-            if any(Path(os.path.realpath(match)).is_relative_to(folder) for folder in own):
-                continue
-            if match.is_dir():
-                yield from _walk(match, barred, note)
-            elif match.suffix.lower() in SUFFIXES:
-                yield match
-
-
-def _walk(folder: Path, barred: set[Path], note: Callable[[str], None]) -> Iterator[Path]:
-    """The clouds below a folder; it does not follow links to folders, which may lead in circles or anywhere."""
-
-    def unreadable(error: OSError) -> None:
-        note(f"{error.filename}: cannot be looked into ({error.strerror}); what it holds is left out")
-
-    for root, folders, names in os.walk(folder, onerror=unreadable):
-        here = Path(root)
-        folders[:] = sorted(f for f in folders if (here / f).resolve() not in barred)
-        clouds = [here / name for name in sorted(names) if Path(name).suffix.lower() in SUFFIXES]
-        asked = (
-            here == folder and not clouds and here.resolve() not in barred
-        )  # an OUT: what it made is wanted
-        if CLASSIFIED in folders and OF_A_RUN.issubset(names) and not asked:
-            folders.remove(CLASSIFIED)  # the same points again
-            note(f"{here / CLASSIFIED}: is the result of a run, left out; name it to read what it holds")
-        for name in folders:
-            if (here / name).is_symlink():
-                note(f"{here / name}: is a link to a folder, not followed; name it to read what it holds")
-        yield from clouds
 
 
 def inspect(path: Path, salvage: bool = False) -> SourceInfo:

@@ -58,7 +58,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     parameters, defaults = _method(config)
     notes: list[str] = []
     folder = None if out is None or is_url(out) else Path(out)
-    paths = find_inputs(inputs, () if folder is None else (folder,), notes.append)
+    paths = find_inputs(inputs, folder, notes.append)
     if out is not None:
         refuse_places(config, str(out), paths)
     sources, unreadable = _inspect_all(paths, config)

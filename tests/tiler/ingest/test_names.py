@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
+import uuid
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import find_inputs, inspect
+from tiler.places import cloud_path
 from tiler.plan import make_plan, output_names
 
 
@@ -101,22 +104,94 @@ def test_names_that_would_become_one_are_refused(make_cloud: Any, tmp_path: Path
         make_plan([str(p) for p in paths], RunConfig(in_process=True))
 
 
-def test_results_of_a_run_are_not_its_inputs(make_cloud: Any, tmp_path: Path) -> None:
-    make_cloud("in/a.las", n=3)
-    for out in ("in", "in/out", "in/other"):
-        make_cloud(f"{out}/classified/a.laz", n=3)
-        for name in ("run.json", "events.jsonl"):
-            (tmp_path / out / name).write_text("{}")
-    notes: list[str] = []
-    out, everything = tmp_path / "in" / "out", str(tmp_path / "in" / "**" / "*.la?")
-    assert [p.name for p in find_inputs([str(tmp_path / "in")], (out,), notes.append)] == ["a.las"]
-    assert sum("result of a run, left out" in note for note in notes) == 2, "and OUT is known"
-    assert out / "classified" / "a.laz" not in find_inputs([everything], (out,))
-    assert len(find_inputs([str(out / "classified")])) == 1, "named, it is read"
-    with pytest.raises(ConfigError, match=r"classified: holds .*a\.laz"):
-        make_plan([str(out / "classified")], RunConfig(in_process=True), out)
-    assert [p.parent for p in find_inputs([str(out)])] == [out / "classified"], (
-        "named itself: as `evaluate` does"
+RUN_KEYS = ("state", "version", "configuration", "plan", "stages")
+
+
+def a_run(folder: Path) -> None:
+    """The files by which the folder of a run is known."""
+    content = {name: {} for name in RUN_KEYS}
+    (folder / "run.json").write_text(json.dumps(content))
+
+
+def found(notes: list[str], root: Path, *inputs: object, **options: Any) -> list[str]:
+    """Inputs by their place below a folder; what is noted goes to ``notes``."""
+    notes.clear()
+    return sorted(
+        str(p.relative_to(root)) for p in find_inputs([str(i) for i in inputs], note=notes.append, **options)
     )
-    with pytest.raises(InputError, match="is the result of a run"):
-        find_inputs([str(out)], (out,))
+
+
+def test_results_of_a_run_are_no_inputs_wherever_they_lie(make_cloud: Any, tmp_path: Path) -> None:
+    root, notes = tmp_path / "in", list[str]()
+    make_cloud("in/a.las", n=3)
+    for out in ("", "out/", "b/other/"):
+        for made in ("classified/a.laz", "classified/b/c.laz", "outdated/classified/a.laz"):
+            make_cloud(f"in/{out}{made}", n=3)
+        a_run(root / out)
+    make_cloud("in/b/mine/classified/m.las", n=3)
+    make_cloud("in/out/own.las", n=3)
+    (root / ".tiler-scratch").mkdir()
+    make_cloud("in/.tiler-scratch/s.laz", n=3)
+    mine = ["a.las", "b/mine/classified/m.las", "out/own.las"]
+    assert found(notes, root, root) == mine
+    assert sum("is the result of a run, left out; name it" in note for note in notes) == 6
+    assert found(notes, root, root / "**" / "*.la?") == mine
+    assert found(notes, root, root / "*") == mine
+    assert found(notes, root, root, out=root / "out") == mine
+    named = ["out/classified/a.laz", "out/classified/b/c.laz"]
+    assert (
+        found(notes, root, root / "out" / "classified")
+        == named
+        == found(notes, root, root / "out/classified/**/*.laz")
+    )
+    assert found(notes, root, root / "out" / "classified" / "a.laz") == named[:1]
+    (root / "out" / "own.las").unlink()
+    with pytest.raises(
+        InputError, match=r"no \.las or \.laz .*out/classified: is the result of a run, left out"
+    ):
+        find_inputs([str(root / "out")])
+    assert found(notes, root, root / "out", results=True) == named, "as `evaluate` wants it"
+
+
+def test_a_run_file_that_was_damaged_still_tells_results(make_cloud: Any, tmp_path: Path) -> None:
+    make_cloud("a.las", n=3)
+    make_cloud("out/classified/a.laz", n=3)
+    (tmp_path / "out" / "run.json").write_text('{"state": "do')
+    assert found([], tmp_path, tmp_path) == ["a.las", "out/classified/a.laz"], "of another program"
+    (tmp_path / "out" / "events.jsonl").write_text("")
+    assert found([], tmp_path, tmp_path) == ["a.las"]
+
+
+def test_a_folder_of_results_that_is_a_link_into_the_inputs(make_cloud: Any, tmp_path: Path) -> None:
+    make_cloud("in/a.las", n=3)
+    make_cloud("in/made/a.laz", n=3)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "classified").symlink_to(tmp_path / "in" / "made")
+    a_run(tmp_path / "out")
+    assert found([], tmp_path, tmp_path / "in", out=tmp_path / "out") == ["in/a.las"]
+
+
+def test_a_run_does_not_overwrite_the_results_that_it_reads(make_cloud: Any, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    make_cloud("out/classified/a.laz", n=3)
+    for known in (False, True):
+        with pytest.raises(ConfigError, match=r"classified: holds .*a\.laz"):
+            make_plan([str(out / "classified")], RunConfig(in_process=True), out)
+        if not known:
+            a_run(out)
+
+
+@pytest.mark.parametrize("pattern", ["", "/", "/**/*.laz"])
+def test_results_at_a_url(pattern: str, make_cloud: Any) -> None:
+    pytest.importorskip("upath")
+    url = f"memory://{uuid.uuid4().hex}"
+    data = make_cloud("a.laz", n=3).read_bytes()
+    for name in ("a.laz", "out/classified/a.laz", "out/outdated/b.laz", "else/classified/c.laz"):
+        cloud_path(f"{url}/{name}").write_bytes(data)
+    content = {name: {} for name in RUN_KEYS}
+    cloud_path(f"{url}/out/run.json").write_bytes(json.dumps(content).encode())
+    assert sorted(str(p).removeprefix(f"{url}/") for p in find_inputs([f"{url}{pattern}"])) == [
+        "a.laz",
+        "else/classified/c.laz",
+    ]
+    assert len(find_inputs([f"{url}/out/classified{pattern}"])) == 1
