@@ -19,6 +19,7 @@ from tiler.core.spread import spread
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
 from tiler.evaluate.heights import read_heights, vertical_unit
+from tiler.jsontext import excerpt
 
 STANDARD = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
 LEAST_POINTS = 30
@@ -111,7 +112,7 @@ def _in_crs_of(
 ) -> tuple[Floats, Floats]:
     """X and y of the checkpoints in the raster's CRS; heights are never transformed."""
     from pyproj import CRS, Transformer
-    from pyproj.exceptions import CRSError
+    from pyproj.exceptions import ProjError
 
     from tiler.ingest.georeference import same_horizontal, split
 
@@ -126,9 +127,9 @@ def _in_crs_of(
         )
     try:
         named, own = CRS.from_user_input(text), CRS.from_wkt(raster.crs.to_wkt())
-    except CRSError as error:
+    except (ProjError, UnicodeError, RecursionError) as error:
         raise ConfigError(
-            f"--points-crs {text}: not a CRS that is known ({' '.join(str(error).split())})"
+            f"the checkpoints are in {excerpt(text)}, which is no CRS that is known; name one with --points-crs"
         ) from error
     source, target = split(named)[0], split(own)[0]
     if source is None or target is None:
@@ -138,7 +139,13 @@ def _in_crs_of(
     notes.append(
         f"x and y of the checkpoints brought from {source.name} into {target.name}; heights are as they are"
     )
-    moved = Transformer.from_crs(source, target, always_xy=True).transform(x, y)
+    try:
+        moved = Transformer.from_crs(source, target, always_xy=True).transform(x, y)
+    except ProjError as error:
+        raise ConfigError(
+            f"the checkpoints are in {source.name}, from which no way leads into {target.name}; "
+            "name another CRS with --points-crs"
+        ) from error
     return np.asarray(moved[0], np.float64), np.asarray(moved[1], np.float64)
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from tiler.errors import InputError
 from tiler.jsontext import excerpt
+from tiler.values import FARTHEST
 
 NVA, VVA = "NVA", "VVA"
 """Non-vegetated and vegetated vertical accuracy."""
@@ -162,6 +163,10 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
         if not math.isfinite(number):
             what = "is missing" if text is None else f"{excerpt(text)} is no number (1234.5, with a point)"
             raise InputError(f"{place}: {axis} {what}")
+        if abs(number) >= FARTHEST:
+            raise InputError(
+                f"{place}: {axis} {excerpt(text)} is farther than {FARTHEST:g}, where nothing lies"
+            )
         numbers.append(number)
     kind, cover, name = ("" if (v := found[k]) is None else str(v).strip() for k in ("kind", "cover", "name"))
     return Row(numbers[0], numbers[1], numbers[2], kind, cover, name)

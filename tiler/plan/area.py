@@ -9,15 +9,17 @@ import numpy as np
 import numpy.typing as npt
 from pyproj import CRS, Transformer
 from pyproj.enums import TransformDirection
-from pyproj.exceptions import CRSError
+from pyproj.exceptions import ProjError
 
 from tiler.config import RunConfig
 from tiler.core.area import Area, shortened
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import SourceInfo, bounds_in_counts, same_horizontal, split
+from tiler.jsontext import excerpt
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
+from tiler.values import FARTHEST
 from tiler.vector import read_polygons
 
 MOST_HALVINGS = 12
@@ -61,6 +63,8 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
     path = Path(config.aoi)
     polygons = read_polygons(path)
     rings = _in_crs(path, polygons.rings, polygons.crs, wkt, notes)
+    if any(np.abs(ring).max() >= FARTHEST for rs in rings for ring in rs):
+        raise InputError(f"{path}: has a place farther away than {FARTHEST:g}; write coordinates of its CRS")
     counts = tuple(
         tuple(shortened(np.rint(r * COUNTS_PER_UNIT).astype(np.int64)) for r in rs) for rs in rings
     )
@@ -127,10 +131,10 @@ def _in_crs(
         raise InputError(f"{path}: has no CRS; write it with one, `ogr2ogr -a_srs EPSG:... area.gpkg {path}`")
     try:
         named = split(CRS.from_user_input(text))[0]
-    except CRSError as error:
-        raise InputError(f"{path}: its CRS {text[:60]} is not known; write it with another") from error
+    except (ProjError, UnicodeError, RecursionError) as error:
+        raise InputError(f"{path}: its CRS {excerpt(text)} is not known; write it with another") from error
     if named is None:
-        raise InputError(f"{path}: its CRS {text[:60]} has no horizontal part; write it with another")
+        raise InputError(f"{path}: its CRS {excerpt(text)} has no horizontal part; write it with another")
     own = None if wkt is None else split(CRS.from_wkt(wkt))[0]
     if own is None:
         raise InputError(
@@ -139,7 +143,12 @@ def _in_crs(
     if same_horizontal(named, own):
         return polygons
     notes.append(f"{path}: its polygons are brought from {named.name} into {own.name}")
-    transformer = Transformer.from_crs(named, own, always_xy=True)
+    try:
+        transformer = Transformer.from_crs(named, own, always_xy=True)
+    except ProjError as error:
+        raise InputError(
+            f"{path}: is in {named.name}, from which no way leads into {own.name}; write it with another CRS"
+        ) from error
     near = RETURN_DEG if named.is_geographic else RETURN
     moved = [[_moved(transformer, ring, near) for ring in rings] for rings in polygons]
     if any(ring is None for rings in moved for ring in rings):

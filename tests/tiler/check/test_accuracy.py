@@ -142,7 +142,9 @@ def test_what_is_refused(tmp_path: Path) -> None:
     points = checkpoints([1], [1], [1], crs="EPSG:4326")
     with pytest.raises(ConfigError, match="the DTM has no CRS"):
         check_dtm(write_surface(tmp_path / "d.tif", tilted, crs=None), points)
-    with pytest.raises(ConfigError, match="--points-crs EPSG:1: not a CRS"):
+    with pytest.raises(
+        ConfigError, match="in .EPSG:1., which is no CRS that is known; name one with --points-crs"
+    ):
         check_dtm(write_surface(tmp_path / "e.tif", tilted), points, PointOptions(crs="EPSG:1"))
     with pytest.raises(ConfigError, match="has no horizontal part"):
         check_dtm(tmp_path / "e.tif", points, PointOptions(crs="EPSG:5773"))

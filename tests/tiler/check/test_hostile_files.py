@@ -11,10 +11,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pyproj
 import pytest
 
-from tiler.check import read_checkpoints
-from tiler.errors import InputError
+from tests.tiler.check.rasters import tilted, write_surface
+from tiler.check import PointOptions, check_dtm, read_checkpoints
+from tiler.config import RunConfig
+from tiler.errors import ConfigError, InputError
+from tiler.plan.area import area_of
 from tiler.vector import read_polygons
 
 Read = Callable[[Path], Any]
@@ -195,3 +199,45 @@ def test_tables_with_damaged_lines(tmp_path: Path) -> None:
             data[place : place + chance.randint(0, 1)] = chance.choice(pieces)
         path.write_bytes(data)
         one_line_at_most(read_checkpoints, path)
+
+
+def write_feature(path: Path, geometry: dict[str, Any], crs: str) -> None:
+    system = {"type": "name", "properties": {"name": crs}}
+    path.write_text(
+        json.dumps({"type": "FeatureCollection", "features": [{"geometry": geometry}], "crs": system})
+    )
+
+
+def use(read: Read, path: Path, dtm: Path) -> None:
+    """What a command does with such a file."""
+    if read is read_polygons:
+        area_of(RunConfig(aoi=str(path)), pyproj.CRS(25832).to_wkt(), [])
+    else:
+        check_dtm(dtm, read_checkpoints(path), PointOptions())
+
+
+STRANGE = ["\ud800", '{"a":' * 20_000, "x" * 100_000, "IAU_2015:30100", "EPSG:5773"]
+"""Half a character, nesting, length, the Moon, heights alone."""
+
+
+@pytest.mark.parametrize("crs", STRANGE, ids=["half", "nested", "long", "moon", "heights"])
+def test_a_crs_that_is_none_or_leads_nowhere(crs: str, tmp_path: Path) -> None:
+    dtm, path = write_surface(tmp_path / "dtm.tif", tilted), tmp_path / "a.geojson"
+    for read, (geometry, _, _) in GEOMETRIES.items():
+        write_feature(path, geometry, crs)
+        with pytest.raises((InputError, ConfigError)) as caught:
+            use(read, path, dtm)
+        assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("far", [9e12, 1e18, 1e300])
+def test_places_beyond_all_others(far: float, tmp_path: Path) -> None:
+    path = tmp_path / "a.geojson"
+    for geometry in (
+        {"type": "Polygon", "coordinates": [[[0, 0], [far, 0], [far, far]]]},
+        {"type": "Point", "coordinates": [0, 0, far]},
+    ):
+        write_feature(path, geometry, "EPSG:25832")
+        read: Read = read_polygons if geometry["type"] == "Polygon" else read_checkpoints
+        with pytest.raises(InputError, match=r"farther (away )?than 9e\+12"):
+            use(read, path, tmp_path)

@@ -84,7 +84,7 @@ def test_polygons_in_metres_for_clouds_in_feet(tmp_path: Path) -> None:
         ({"bounds": (0.0001, 0.0, 0.0002, 1.0)}, ConfigError, "holds no place"),
         ({"aoi": "absent.gpkg"}, InputError, "no such file"),
         ({"aoi": "a.shp"}, InputError, "has no CRS; write it with one"),
-        ({"aoi": "odd.shp"}, InputError, "its CRS no CRS is not known"),
+        ({"aoi": "odd.shp"}, InputError, "its CRS 'no CRS' is not known"),
         ({"aoi": "world.geojson"}, InputError, "reach where ETRS89 / UTM zone 32N has no coordinates"),
         ({"aoi": "thin.gpkg"}, InputError, "its polygons hold no place"),
     ],
