@@ -15,5 +15,5 @@ Exit codes:
   3    input that cannot be read or whose CRS cannot be used
   4    processing failed
   5    done, but files or tiles were left out, or a required check failed
-  130  interrupted: the same command goes on where it was
+  130  interrupted, by Ctrl-C or SIGTERM: the same command goes on where it was
 """

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import importlib
 import os
-import signal
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
 from cli import exit_codes
+from cli.ending import end_children, ended_in_time
 from cli.output import say
 from cli.session import Session
 from tiler import __version__
@@ -89,8 +89,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
-    with _open_streams():
-        return _run(arguments)
+    own_process = arguments is None
+    with _open_streams(), ended_in_time(own_process):
+        try:
+            code = _run(arguments)
+        except KeyboardInterrupt:  # while an error was being told
+            code = exit_codes.INTERRUPTED
+        if own_process and code == exit_codes.INTERRUPTED:
+            end_children()  # those that were just being started
+        return code
 
 
 @contextmanager
@@ -109,7 +116,6 @@ def _open_streams() -> Iterator[None]:
 
 def _run(arguments: Sequence[str] | None) -> int:
     session = Session()
-    before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         code: Any = group.main(arguments, prog_name="tiler", standalone_mode=False, obj=session)
         sys.stdout.flush()
@@ -118,13 +124,6 @@ def _run(arguments: Sequence[str] | None) -> int:
         raise
     except BaseException as error:  # noqa: BLE001 - a decoder may panic with what is no Exception
         return _end(error, session)
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _interrupt(number: int, frame: object) -> NoReturn:
-    """SIGTERM ends a command as Ctrl-C does."""
-    raise KeyboardInterrupt
 
 
 def _end(error: BaseException, session: Session) -> int:

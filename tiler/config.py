@@ -187,15 +187,23 @@ def _without_unit(name: str) -> str:
     return name
 
 
+MOST_BYTES = 1 << 20
+"""Of a file of settings: what is read of another file is bounded."""
+
+
 def load_config(path: Path) -> dict[str, Any]:
     """The settings of a TOML file as plain values; a table ``[parameters]`` holds those of the method."""
     import tomllib
 
     try:
-        return tomllib.loads(path.read_text("utf-8-sig"))  # editors of Windows begin files with a mark
+        with open(path, "rb") as stream:
+            content = stream.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            raise ConfigError(f"{path}: more than {MOST_BYTES >> 20} MiB; name a TOML file of settings")
+        return tomllib.loads(content.decode("utf-8-sig"))  # editors of Windows begin files with a mark
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; name a readable TOML file") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is no UTF-8; save the file as UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # of numbers and nesting without end as well
         raise ConfigError(f"{path}: not valid TOML: {error}") from error

@@ -61,7 +61,9 @@ def describe(path: str) -> dict[str, Any]:
     if place.is_dir():
         return _describe_folder(place)
     if place.suffix.lower() not in _CLOUDS:
-        return describe_raster(place)
+        from tiler.schedule import half_of_memory, read_apart
+
+        return read_apart(describe_raster, place, paths=(place,), memory_bytes=half_of_memory())
     from tiler.ingest import read_guarded
     from tiler.schedule import Guard
 

@@ -59,20 +59,19 @@ def command(
     vegetated ones (VVA) is told and never judged.
     """
     from tiler import check
+    from tiler.schedule import half_of_memory, read_apart
 
     requirements = check.parse_requirements(require)
     if figures is not None:
         check.refuse_figures(figures, dtm, points, strips)
     if figures is not None and points is None:
         raise click.UsageError("--figures draws checkpoints; name them with --points")
+    unit = None if points_unit is None else unit_named(points_unit)
+    options = check.PointOptions(points_crs, unit, float(parse_length(points_rmse)))
+    size = None if tile_size is None else parse_length(tile_size)
+    read = [path for path in (dtm, points) if path is not None]
     report: dict[str, Any] = {"dtm": str(dtm)}
-    if points is not None:
-        unit = None if points_unit is None else unit_named(points_unit)
-        options = check.PointOptions(points_crs, unit, float(parse_length(points_rmse)))
-        report["accuracy"] = check.check_dtm(dtm, check.read_checkpoints(points), options)
-    seams = check.seams_of(dtm, None if tile_size is None else parse_length(tile_size))
-    if seams is not None:
-        report["seams"] = seams
+    report |= read_apart(check.measure, dtm, points, options, size, paths=read, memory_bytes=half_of_memory())
     if strips:
         report["strips"] = check.strip_differences(strips)
     if len(report) == 1:
@@ -80,7 +79,11 @@ def command(
             f"{dtm}: nothing to check; name --points, --tile-size (there is no run.json beside it) or --strips"
         )
     report["requirements"] = check.judge(requirements, report)
-    report["figures"] = [] if figures is None else check.write_figures(figures, dtm, report["accuracy"])
+    report["figures"] = []
+    if figures is not None:
+        report["figures"] = read_apart(
+            check.write_figures, figures, dtm, report["accuracy"], paths=(dtm,), memory_bytes=half_of_memory()
+        )
     if as_json:
         print_json(report)
     else:

@@ -76,6 +76,7 @@ def command(
         raise click.UsageError("name either --reference REF, or --method NAME to filter labelled clouds")
     from tiler.evaluate import IGNORED, evaluate_dtm, find_scenes, refuse_targets
     from tiler.observe.progress import open_progress
+    from tiler.schedule import half_of_memory, read_apart
 
     ignored = IGNORED if ignore is None else parse_classes(ignore)
     if maps is not None or difference is not None:
@@ -88,7 +89,8 @@ def command(
         if clouds:
             facts = _score(clouds, references, settings, ignored, maps, map_cell, listener)
     if dtm is not None and true_dtm is not None:
-        facts["dtm"] = evaluate_dtm(dtm, true_dtm, difference)
+        both = (Path(dtm), Path(true_dtm))
+        facts["dtm"] = read_apart(evaluate_dtm, *both, difference, paths=both, memory_bytes=half_of_memory())
     if as_json:
         print_json(facts)
         return

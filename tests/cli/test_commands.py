@@ -194,6 +194,7 @@ def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     monkeypatch.setattr("tiler.evaluate.evaluate_scenes", answer)
     monkeypatch.setattr("tiler.evaluate.filter_and_evaluate", answer)
     monkeypatch.setattr("tiler.evaluate.evaluate_dtm", lambda *arguments: {"unit": "metre", "rmse": None})
+    monkeypatch.setattr("tiler.schedule.read_apart", lambda work, *arguments, **how: work(*arguments))
     return seen
 
 

@@ -7,6 +7,7 @@
 
 from tiler.check.accuracy import check_dtm
 from tiler.check.figures import refuse_figures, write_figures
+from tiler.check.measure import measure
 from tiler.check.points import Checkpoints, PointOptions, read_checkpoints
 from tiler.check.requirements import METRICS, Requirement, judge, parse_requirements
 from tiler.check.seams import TileEdges, edges_of_run, seam_steps, seams_of
@@ -21,6 +22,7 @@ __all__ = [
     "check_dtm",
     "edges_of_run",
     "judge",
+    "measure",
     "parse_requirements",
     "read_checkpoints",
     "refuse_figures",

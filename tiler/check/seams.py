@@ -163,6 +163,8 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
                 counts.add(pairs)
     except RasterioError as error:
         raise InputError(f"{dtm}: cannot be read ({' '.join(str(error).split())})") from error
+    for tallies in (counts.edges, counts.beside):  # of a VRT without files there is nothing to count
+        tallies.setdefault("tiles", Tally())
     found = {name: tally.facts() for name, tally in counts.edges.items()}
     found |= {f"beside_{name}": tally.facts() for name, tally in counts.beside.items()}
     interior = counts.interior.facts()

@@ -16,6 +16,7 @@ from tiler.errors import InputError
 from tiler.las.columns import class_and_flags
 from tiler.las.headers import read_header
 from tiler.las.reader import EVERYTHING, PointReader
+from tiler.schedule import half_of_memory, read_apart
 
 CELL_M = 2.0
 LEAST_POINTS = 3
@@ -66,9 +67,15 @@ def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
     InputError
         A file cannot be read, or there is no ground.
     """
-    from tiler.ingest import find_inputs, inspect
+    from tiler.ingest import find_inputs
 
     paths = find_inputs(clouds, results=True)
+    return read_apart(_strips_of, paths, paths=paths, memory_bytes=half_of_memory())
+
+
+def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:
+    from tiler.ingest import inspect
+
     place = inspect(paths[0]).georeference
     horizontal = place.horizontal or METRE
     vertical = place.vertical or horizontal

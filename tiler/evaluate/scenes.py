@@ -16,6 +16,7 @@ from tiler.evaluate.clouds import Findings, compare_files
 from tiler.evaluate.labels import IGNORED, mean_scores
 from tiler.evaluate.maps import ErrorGrid, write_error_map
 from tiler.observe.events import Listener, silent
+from tiler.schedule import half_of_memory, read_apart
 
 
 @dataclass(frozen=True)
@@ -143,11 +144,11 @@ def evaluate_scenes(
     total, results = Findings(), []
     for scene in scenes:
         listener("note", {"text": f"{scene.name}: {scene.cloud} against {scene.reference}"})
-        grid = None if maps is None else _grid(scene.reference, maps.cell_m, ignore)
-        findings, how = compare_files(scene.cloud, scene.reference, grid)
+        findings, how, written = read_apart(
+            _compare, scene, ignore, maps, paths=(scene.cloud, scene.reference), memory_bytes=half_of_memory()
+        )
         total.table += findings.table
         total.withheld += findings.withheld
-        written = [] if maps is None or grid is None else _write_map(grid, maps, scene)
         results.append({
             "name": scene.name, "cloud": str(scene.cloud), "reference": str(scene.reference),
             **findings.facts(ignore), **how, "maps": written,
@@ -158,6 +159,17 @@ def evaluate_scenes(
         "mean": mean_scores(results),
         "scenes": results,
     }
+
+
+def _compare(
+    scene: Scene, ignore: Sequence[int], maps: MapRequest | None
+) -> tuple[Findings, dict[str, Any], list[str]]:
+    """What is found of a scene, how its points were paired, and the maps written."""
+    grid = None if maps is None else _grid(scene.reference, maps.cell_m, ignore)
+    findings, how = compare_files(scene.cloud, scene.reference, grid)
+    written = [] if maps is None or grid is None else _write_map(grid, maps, scene)
+    findings.grid = None  # it stays here
+    return findings, how, written
 
 
 def _grid(reference: Path, cell_m: Fraction, ignore: Sequence[int]) -> ErrorGrid:

@@ -19,6 +19,7 @@ from tiler.ingest import SourceInfo, bounds_in_counts, same_horizontal, split
 from tiler.jsontext import excerpt
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
+from tiler.schedule import read_apart
 from tiler.values import FARTHEST
 from tiler.vector import read_polygons
 
@@ -61,6 +62,17 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
     if config.aoi is None:
         return None
     path = Path(config.aoi)
+    if config.in_process:
+        area, decided = read_area(path, wkt)
+    else:
+        area, decided = read_apart(read_area, path, wkt, paths=(path,))
+    notes += decided
+    return area
+
+
+def read_area(path: Path, wkt: str | None) -> tuple[Area, list[str]]:
+    """The polygons of a file in absolute counts of a CRS, and what was decided about them; raises InputError."""
+    notes: list[str] = []
     polygons = read_polygons(path)
     rings = _in_crs(path, polygons.rings, polygons.crs, wkt, notes)
     if any(np.abs(ring).max() >= FARTHEST for rs in rings for ring in rs):
@@ -71,7 +83,7 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
     area = Area(counts)
     if area.bounds.empty:
         raise InputError(f"{path}: its polygons hold no place; draw them wider")
-    return area
+    return area, notes
 
 
 def part_of(plan: Plan) -> Plan:

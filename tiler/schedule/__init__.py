@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tiler.schedule.apart import half_of_memory, read_apart, seconds_for
 from tiler.schedule.guard import Died, Guard
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import (
@@ -33,7 +34,10 @@ __all__ = [
     "Task",
     "Work",
     "digest_of",
+    "half_of_memory",
     "make_executor",
+    "read_apart",
+    "seconds_for",
 ]
 
 

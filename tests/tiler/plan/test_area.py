@@ -29,7 +29,7 @@ SQUARE = [
 
 
 def of(path: Path, wkt: str | None = UTM) -> Any:
-    return area_of(RunConfig(aoi=str(path)), wkt, [])
+    return area_of(RunConfig(aoi=str(path), in_process=True), wkt, [])
 
 
 def test_nothing_asked_for_is_everything() -> None:
@@ -112,7 +112,7 @@ def test_what_is_refused(
 def test_where_the_crs_of_the_clouds_is_unknown(tmp_path: Path) -> None:
     path = shapefile(tmp_path / "a.shp", [[SQUARE]])
     notes: list[str] = []
-    assert area_of(RunConfig(aoi=str(path)), None, notes) is not None
+    assert area_of(RunConfig(aoi=str(path), in_process=True), None, notes) is not None
     assert "its polygons are taken to be in that of the clouds" in notes[0]
     with pytest.raises(
         InputError, match="the CRS of the clouds is unknown; name it with --crs, or use --bounds"

@@ -1,0 +1,71 @@
+"""An interrupted command ends in time: by itself, or, where something does not let go of it, by force."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import NoReturn
+
+import psutil
+
+from cli import exit_codes
+
+GRACE_SECONDS = 4.0
+"""After a signal, for what a command has to close and to say; a batch system kills soon after."""
+FORCED = b"tiler: interrupted; what it was at did not stop, so it was ended\n"
+
+
+@contextmanager
+def ended_in_time(own_process: bool) -> Iterator[None]:
+    """Let SIGTERM interrupt a command as Ctrl-C does, and see to it that it ends within `GRACE_SECONDS` of either.
+
+    Python tells of a signal between two of its instructions: not while a library computes, and code that swallows the
+    interruption goes on. So a thread is woken by the signal itself. It ends this process as a kill would, which no run
+    is harmed by.
+
+    Parameters
+    ----------
+    own_process : bool
+        The command is all that this process does: its last moments, after the block, are watched as well.
+    """
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    done = threading.Event()
+    threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    woken_before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    try:
+        yield
+    finally:
+        # What is done cannot be interrupted any more: such a signal ends the process at once.
+        signal.signal(signal.SIGTERM, signal.SIG_DFL if own_process else before)
+        if not own_process:
+            signal.set_wakeup_fd(woken_before)
+            done.set()
+            os.close(writing)  # the thread reads the end, and closes the other one
+
+
+def end_children() -> None:
+    """Kill the processes that this one started, and theirs."""
+    with suppress(psutil.Error):
+        for child in psutil.Process().children(recursive=True):
+            with suppress(psutil.Error):
+                child.kill()
+
+
+def _interrupt(number: int, frame: object) -> NoReturn:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not disturb the end
+    raise KeyboardInterrupt
+
+
+def _watch(reading: int, done: threading.Event) -> None:
+    while number := os.read(reading, 1):
+        if number[0] in (signal.SIGINT, signal.SIGTERM) and not done.wait(GRACE_SECONDS):
+            end_children()
+            with suppress(OSError):
+                os.write(2, FORCED)
+            os._exit(exit_codes.INTERRUPTED)
+    os.close(reading)

@@ -1,0 +1,160 @@
+"""Files that would be read for ever, or take all memory: refused in time, with one line; SIGTERM ends what is stuck."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from cli.main import main
+from tests.integration.command import assert_one_line, command, environment
+from tests.integration.hanging import endless_geopackage, huge_raster
+from tests.invariants import clouds
+
+END_SECONDS = 5.0
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "town.laz", clouds.city(60.0))
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("hostile")
+    return {
+        "area": endless_geopackage(folder / "area.gpkg"),
+        "areas": endless_geopackage(folder / "areas.gpkg", rows=True),
+        "points": endless_geopackage(folder / "points.gpkg", "POINT"),
+        "raster": huge_raster(folder / "huge.tif"),
+    }
+
+
+def asked(cloud: Path, hostile: dict[str, Path], out: Path) -> dict[str, list[str]]:
+    """Commands that read such a file."""
+    raster = str(hostile["raster"])
+    return {
+        "plan --aoi": ["plan", str(cloud), "--aoi", str(hostile["area"])],
+        "run --aoi": ["run", str(cloud), "-o", str(out), "--aoi", str(hostile["area"])],
+        "check --points": ["check", raster, "--points", str(hostile["points"])],
+        "check --tile-size": ["check", raster, "--tile-size", "500"],
+        "info": ["info", raster],
+        "evaluate --dtm": ["evaluate", "--dtm", raster, "--true-dtm", raster],
+    }
+
+
+NAMES = ("plan --aoi", "run --aoi", "check --points", "check --tile-size", "info", "evaluate --dtm")
+
+
+DEFAULT = ("plan --aoi", "check --points", "info")
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in DEFAULT else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
+)
+def test_what_never_ends_is_given_up(
+    name: str,
+    cloud: Path,
+    hostile: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("tiler.schedule.apart.LEAST_SECONDS", 1.0)
+    monkeypatch.setattr("tiler.schedule.apart.BYTES_PER_SECOND", 1e8)
+    assert main(asked(cloud, hostile, tmp_path / "out")[name]) == 3
+    assert_one_line(
+        capsys.readouterr().err, "what reads it did not end within", str(next(iter(hostile.values())).parent)
+    )
+
+
+def test_what_would_take_all_memory_is_given_up(
+    cloud: Path, hostile: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", str(cloud), "--aoi", str(hostile["areas"])]) == 3
+    assert_one_line(capsys.readouterr().err, "areas.gpkg: what reads it needs more than the 1024 MiB")
+
+
+def test_settings_without_end_are_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "endless.toml").symlink_to("/dev/zero")
+    (tmp_path / "deep.toml").write_text("a = " + "[" * 100_000)
+    (tmp_path / "long.toml").write_text("a = " + "9" * 5000)
+    for name, part in (
+        ("endless", "more than 1 MiB"),
+        ("deep", "not valid TOML"),
+        ("long", "not valid TOML"),
+    ):
+        assert main(["config", "--config", str(tmp_path / f"{name}.toml")]) == 2
+        assert_one_line(capsys.readouterr().err, f"{name}.toml: {part}")
+
+
+def end_of(process: subprocess.Popen[str], after: float) -> tuple[float, int, str]:
+    """Send SIGTERM to a command that has worked for some seconds; how long it took to end, its code and stderr."""
+    time.sleep(after)
+    assert process.poll() is None, process.communicate()
+    children = psutil.Process(process.pid).children(recursive=True)
+    began = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    _, error = process.communicate(timeout=60)
+    seconds = time.monotonic() - began
+    _, alive = psutil.wait_procs(children, timeout=1)
+    assert not alive
+    return seconds, process.returncode, error
+
+
+def start(arguments: list[str]) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment()
+    )
+
+
+@pytest.mark.parametrize("name", [NAMES[0], *(pytest.param(n, marks=pytest.mark.slow) for n in NAMES[1:])])
+def test_sigterm_ends_the_reading_of_what_never_ends(
+    name: str, cloud: Path, hostile: dict[str, Path], tmp_path: Path
+) -> None:
+    seconds, code, error = end_of(start(asked(cloud, hostile, tmp_path / "out")[name]), after=3.0)
+    assert (code, seconds < END_SECONDS) == (130, True), (seconds, error)
+    assert error.splitlines()[-1].startswith("tiler: interrupted")
+
+
+STUCK = """
+import ctypes, sys
+import cli.commands.methods as methods
+def stuck(*arguments, **settings):
+    for _ in range(1000):
+        try:
+            {}
+        except KeyboardInterrupt:
+            pass
+methods.command.callback = stuck
+from cli.main import main
+sys.argv = ["tiler", "methods"]
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        pytest.param("ctypes.CDLL(None).usleep(60_000_000)", id="C"),
+        pytest.param("__import__('time').sleep(60)", id="swallowed", marks=pytest.mark.slow),
+    ],
+)
+def test_what_does_not_let_go_is_ended_by_force(what: str, tmp_path: Path) -> None:
+    """A library that computes and looks at no signal, and one that swallows the interruption."""
+    script = tmp_path / "stuck.py"
+    script.write_text(STUCK.format(what))
+    process = subprocess.Popen(
+        command()[:1] + [str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+    )
+    seconds, code, error = end_of(process, after=1.5)
+    assert (code, seconds < END_SECONDS) == (130, True), (seconds, error)
+    assert error == "tiler: interrupted; what it was at did not stop, so it was ended\n"
