@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -194,3 +195,27 @@ def test_a_folder_of_results_has_a_lease_of_its_own(tmp_path: Path, meta: StoreM
         with create_store(str(tmp_path / "store.zarr"), meta).lock():
             pass
     assert [p.name for p in tmp_path.iterdir()] == ["store.zarr"]
+
+
+def test_a_run_in_a_container_is_not_taken_for_dead(tmp_path: Path, meta: StoreMeta) -> None:
+    """A PID namespace of its own, the same host name: its number 1 is not the number 1 of this machine."""
+    contained = ["unshare", "--pid", "--fork", "--kill-child"]
+    if shutil.which("unshare") is None or subprocess.run([*contained, "true"], check=False).returncode:
+        pytest.skip("no namespaces here")
+    store = create_store(str(tmp_path / "s"), meta)
+    code = (
+        "import sys, time; from tiler.store import open_store\n"
+        "with open_store(sys.argv[1]).lock(): print('held', flush=True); sys.stdin.read()"
+    )
+    holder = subprocess.Popen(
+        [*contained, sys.executable, "-c", code, store.url], cwd=REPOSITORY, stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )  # fmt: skip
+    with holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(LockedError, match="if it was killed, its lease ends"), store.lock():
+            pass
+        holder.communicate(b"")
+    with store.lock():
+        pass
