@@ -85,6 +85,17 @@ def partial_path(target: Path, kind: str = "") -> Path:
     return target.with_name(name)
 
 
+@contextmanager
+def appearing(target: Path) -> Iterator[Path]:
+    """Where to write a file that gets its name, and replaces what has it, only when the block ends well."""
+    partial = partial_path(target)
+    try:
+        yield partial
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
 def is_scratch(name: str) -> bool:
     """Whether a name is one that `partial_path` makes, or that GDAL makes of it while it writes."""
     return name.startswith(SCRATCH_PREFIX) and (name.endswith(".partial") or ".partial." in name)

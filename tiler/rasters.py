@@ -16,7 +16,7 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.raster import RasterSpec
 from tiler.earlier import put_aside
-from tiler.errors import ProcessingError
+from tiler.errors import ProcessingError, refused_write
 from tiler.file_tasks import Inputs, cog_tasks, mosaic_tasks
 from tiler.grid import DEEP_M, blank_blocks
 from tiler.intact import take_back_spoilt
@@ -159,7 +159,10 @@ def export(
     digest = digest_of(sorted(source.content for source in sources))
     tasks = list(cog_tasks(gridding, Inputs.of(sources, spooled), digest, out))
     for folder in {task.arguments["out"] for task in tasks if not is_url(out)}:
-        Path(folder).mkdir(exist_ok=True)
+        try:
+            Path(folder).mkdir(exist_ok=True)
+        except OSError as error:
+            raise refused_write(folder, error, Path(out)) from error
     if config.method != KEEP:
         tasks += classified_tasks(job.plan, sources, spooled, labels, out)
     mosaics = list(mosaic_tasks(gridding, digest, out))

@@ -107,6 +107,7 @@ def foreign_files(
     ours = earlier_outputs(out, products)
     names = [name for name in wanted if name not in ours]
     for product in sheets_of:
+        names.append(f"{product}/{product}_")  # no file, but its folder may be one
         sheets = (f"{product}/{name}" for name in names_in(joined(products, product)))
         names += [
             s

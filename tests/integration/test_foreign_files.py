@@ -12,7 +12,7 @@ import pytest
 from tests.invariants import clouds
 from tests.invariants.forked import ended, forked
 from tests.invariants.runs import do, settings
-from tiler.errors import ConfigError
+from tiler.errors import ConfigError, ProcessingError
 from tiler.pipeline import run
 from tiler.places import cloud_path, is_scratch, partial_path
 
@@ -94,7 +94,14 @@ def test_a_product_that_came_between_two_runs_is_the_users(cloud: Path, tmp_path
         do(cloud, out, products="dtm,slope")
     with pytest.raises(ConfigError, match="dsm/dsm_0_0.tif: there already"):
         do(cloud, out, products="dsm", sheets="40")
-    assert content(out) == before
+    before |= put(out, "density")
+    with pytest.raises(ConfigError, match="density: there already"):
+        do(cloud, out, products="density", sheets="40")
+    with pytest.raises(ProcessingError, match=f"{out}/density: cannot be written"):
+        do(cloud, out, products="density", sheets="40", force=True)
+    assert {name: data for name, data in content(out).items() if data.startswith(b"mine")} == {
+        name: data for name, data in before.items() if data.startswith(b"mine")
+    }
 
 
 def test_a_file_that_comes_while_the_run_goes_on_is_not_replaced(
@@ -135,8 +142,6 @@ def killed_at(where: str, cloud: Path, out: Path) -> None:
 def test_a_file_whose_task_fails_stays_the_runs_own(
     cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tiler.errors import ProcessingError
-
     out = tmp_path / "out"
     do(cloud, out)
 

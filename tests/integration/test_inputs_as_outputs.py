@@ -171,3 +171,23 @@ def test_a_demo_replaces_nothing(name: str, tmp_path: Path, capsys: pytest.Captu
     (tmp_path / name).write_text("mine")
     assert f"{name}: there already" in refused(capsys, "demo", "-o", tmp_path)
     assert [p.read_text() for p in tmp_path.rglob("*") if p.is_file()] == ["mine"]
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_a_difference_takes_no_file_beside_it_along(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """GDAL removes the world file, masks and metadata of what it writes anew."""
+    true, target = raster(tmp_path / "true.tif"), raster(tmp_path / "difference.tif")
+    world = target.with_suffix(".tfw")
+    world.write_text("1\n0\n0\n-1\n0.5\n3.5\n")
+    arguments = ["evaluate", "--dtm", true, "--true-dtm", true, "--difference", target]
+    assert main([str(a) for a in arguments]) == 0
+    assert world.is_file()
+    with rasterio.open(target) as found:
+        assert not found.read().any()
+    target.unlink()
+    target.mkdir()
+    assert main([str(a) for a in arguments]) == 4
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not list(tmp_path.glob(".tiler-*"))

@@ -15,6 +15,7 @@ from tiler.core.spread import SpreadTally
 from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
 from tiler.evaluate.maps import refuse_foreign_maps
+from tiler.places import appearing
 from tiler.targets import Target, check_targets
 
 BLOCK = 1024
@@ -138,12 +139,16 @@ def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
         yield None
         return
     from tiler.core.raster import NODATA
-    from tiler.export.geotiff import RasterLook, plain_geotiff
+    from tiler.export.geotiff import RasterLook, plain_geotiff, raster_errors
 
     crs = pair.truth.crs.to_wkt() if pair.truth.crs else None
     look = RasterLook(crs, unit_label(vertical_unit(pair.truth)), "DTM minus truth", {})
     transform = tuple(pair.truth.transform)[:6]
-    with plain_geotiff(Path(path), pair.truth.height, pair.truth.width, transform, look) as raster:
+    with (
+        raster_errors(Path(path)),
+        appearing(Path(path)) as partial,
+        plain_geotiff(partial, pair.truth.height, pair.truth.width, transform, look) as raster,
+    ):
 
         def write(block: Float64s, row: int, col: int) -> None:
             raster.write(np.where(np.isfinite(block), block, NODATA).astype(np.float32), row, col)

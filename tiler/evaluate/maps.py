@@ -20,6 +20,7 @@ from tiler.core.classes import GROUND
 from tiler.errors import ConfigError
 from tiler.export.geotiff import CACHE_MB, TILE, raster_errors
 from tiler.export.picture import write_png
+from tiler.places import appearing
 
 RIGHT, TYPE_1, TYPE_2, BOTH, NONE = 0, 1, 2, 3, 255
 """Codes of a cell: all points right, ground lost, objects taken for ground, both, no point that counts."""
@@ -199,7 +200,8 @@ def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
         with (
             rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
             raster_errors(path),
-            rasterio.open(path, "w", **profile) as raster,
+            appearing(path) as partial,
+            rasterio.open(partial, "w", **profile) as raster,
         ):
             for row in range(0, height, TILE):
                 rows = min(TILE, height - row)
