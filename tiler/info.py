@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
+from tiler.jsontext import read_object
 
 if TYPE_CHECKING:
     from tiler.store import TileStore
@@ -214,7 +214,11 @@ def _commits(store: TileStore) -> dict[str, Any]:
 def describe_result(folder: Path) -> dict[str, Any]:
     """Facts of the OUT of a run: its run.json, and its store where it is still there."""
     try:
-        run = json.loads((folder / "run.json").read_text("utf-8"))
+        run = read_object((folder / "run.json").read_text("utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"{folder / 'run.json'}: cannot be read ({error.strerror}); see to its rights"
+        ) from error
     except ValueError as error:
         raise InputError(
             f"{folder / 'run.json'}: not valid JSON ({error}); run the same command again"

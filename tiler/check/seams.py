@@ -10,7 +10,6 @@ beside them, which cross the same places.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -25,6 +24,7 @@ from scipy.ndimage import maximum_filter1d
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
 from tiler.evaluate.heights import blocks_with_files, horizontal_unit, read_heights, vertical_unit
+from tiler.jsontext import read_object
 
 BLOCK_PIXELS = 512
 """Side of the blocks in which a run makes its rasters, counted from the north-west corner."""
@@ -266,8 +266,11 @@ def edges_of_run(dtm: Path) -> TileEdges | None:
     from tiler.core.units import unit_named
 
     try:
-        plan = json.loads(path.read_text("utf-8"))["plan"]
+        plan = read_object(path.read_text("utf-8"))["plan"]
         metres = float(unit_named(plan["units"]["horizontal"]))
-        return TileEdges(plan["tile_m"] / metres, plan["bucket_m"] / metres, blocks=True)
-    except (ValueError, KeyError, TypeError) as error:
+        tile, bucket = plan["tile_m"] / metres, plan["bucket_m"] / metres
+        if not (0 < bucket < math.inf and 0 < tile < math.inf):
+            raise ValueError(f"tiles of {tile}, buckets of {bucket}")
+        return TileEdges(tile, bucket, blocks=True)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, ConfigError) as error:
         raise InputError(f"{path}: is not of a run of this version ({error!r}); give --tile-size") from error

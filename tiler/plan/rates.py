@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler import __version__
+from tiler.jsontext import read_object
 from tiler.plan.model import Plan
 
 TYPICAL = {"spool": 0.9, "assemble": 0.7, "filter": 1.0, "grid": 0.7, "export": 0.7}
@@ -74,7 +75,7 @@ def _path() -> Path:
 def _read() -> dict[str, float]:
     """What is remembered of this version; a file of another one, or a damaged one, is as none."""
     try:
-        content = json.loads(_path().read_text())
+        content = read_object(_path().read_text())
         if content["version"] != __version__:
             return {}
         return {str(k): float(v) for k, v in content["seconds_per_million"].items()}

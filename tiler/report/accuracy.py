@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from tiler.errors import refused_write
+from tiler.jsontext import read_object
 from tiler.report.document import Content, Node, el, facts, table
+from tiler.shown import shown
 
 CHECK, EVALUATION = "check.json", "evaluate.json"
 """Names in OUT under which ``--json`` of `tiler check` and `tiler evaluate` are looked for."""
@@ -23,16 +26,19 @@ HOW = (
 
 
 def read_measured(out: Path, name: str) -> dict[str, Any]:
-    """The content of a file of ``OUT``; empty where there is none, ``unreadable`` where it is no JSON object."""
+    """The content of a file of ``OUT``; empty where there is none, ``unreadable`` where it is not what tiler writes."""
     path = out / name
     if not path.is_file():
         return {}
     try:
-        found = json.loads(path.read_text("utf-8"))
+        found = read_object(path.read_text("utf-8"))
+        checkpoints_on_map(found)
+        accuracy_content(*((found, {}) if name == CHECK else ({}, found)))
     except (OSError, ValueError) as error:
         return {"unreadable": f"{name}: {error}"}
-    if not isinstance(found, dict):
-        return {"unreadable": f"{name}: holds no object"}
+    except (KeyError, TypeError, AttributeError, OverflowError) as error:
+        what = f"not what this version of tiler writes ({type(error).__name__}: {error}); measure again"
+        return {"unreadable": f"{name}: {what}"}
     dtms = [p for p in (out / "dtm.tif", out / "dtm.vrt") if p.is_file()]
     older = bool(dtms) and path.stat().st_mtime < max(p.stat().st_mtime for p in dtms)
     return {**found, "older": older}
@@ -67,6 +73,32 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
     if evaluation.get("dtm"):
         found.append(_true_dtm(evaluation["dtm"]))
     return found or [el("p", HOW)]
+
+
+def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
+    """What the map draws of a check: each checkpoint's name, x, y, difference and whether it is an outlier."""
+    found = check.get("accuracy") or {}
+    return {
+        "checkpoints": [
+            [
+                shown(str(p["name"])),
+                *(_finite(p[key]) for key in ("x", "y", "difference")),
+                bool(p["outlier"]),
+            ]
+            for p in found.get("differences", ())
+        ],
+        "checkpoint_unit": str(found.get("unit", "")),
+        "checkpoint_range": _finite((found.get("all") or {}).get("p95_abs")) or 1.0,
+    }
+
+
+def _finite(value: Any) -> float | None:
+    """A number, or None as it is; ValueError where it is none that JSON of a page can hold."""
+    if value is None:
+        return None
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is no number")
+    return float(value)
 
 
 def _number(value: Any, digits: int = 3) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -13,6 +12,7 @@ from rasterio.errors import RasterioError
 
 from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, refused_write
+from tiler.jsontext import read_object
 from tiler.places import joined, partial_path, state_at
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import Node, el, section
@@ -48,7 +48,7 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
     content = _read_run(out) if run is None else run
     try:
         page = _page(out, content, products or content.get("products_at") or str(out))
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, OverflowError, IndexError) as error:
         raise InputError(
             f"{out / 'run.json'}: not what this version of tiler writes ({type(error).__name__}: {error}); run again"
         ) from error
@@ -74,12 +74,12 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
 def _read_run(out: Path) -> dict[str, Any]:
     path = out / "run.json"
     try:
-        return dict(json.loads(path.read_text("utf-8")))
+        return read_object(path.read_text("utf-8"))
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror}); name the OUT folder of a run"
         ) from error
-    except (ValueError, TypeError) as error:
+    except ValueError as error:
         raise InputError(f"{path}: not valid JSON ({error}); run the same command again") from error
 
 

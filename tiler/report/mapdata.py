@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from tiler.jsontext import read_object
+from tiler.report.accuracy import checkpoints_on_map
 from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
 from tiler.shown import shown
 
@@ -35,20 +36,21 @@ def with_earlier_times(run: Mapping[str, Any], out: Path) -> dict[str, Any]:
     }
     for event in _events(out / EVENTS) if unknown else ():
         if event.get("event") == "task_done":
-            tile = unknown.get((event["stage"], event["key"]))
-            if tile is not None:
-                tile.update(seconds=event["seconds"], peak_rss_bytes=event["peak_rss_bytes"])
+            tile = unknown.get((str(event.get("stage")), str(event.get("key"))))
+            figures = {name: event.get(name) for name in ("seconds", "peak_rss_bytes")}
+            if tile is not None and all(isinstance(v, int | float) for v in figures.values()):
+                tile.update(figures)
     return {**run, "tiles": tiles}
 
 
 def _events(path: Path) -> Iterator[dict[str, Any]]:
-    """Events of a log; a line that a killed run left unfinished is passed over."""
+    """Events of a log; a line that a killed run left unfinished, or a disk damaged, is passed over."""
     if not path.is_file():
         return
     with open(path, encoding="utf-8", errors="replace") as lines:
         for line in lines:
             try:
-                yield dict(json.loads(line))
+                yield read_object(line)
             except ValueError:
                 continue
 
@@ -66,7 +68,6 @@ def map_data(
     accuracy : mapping
         A check as `tiler.check` gives it, under ``accuracy`` what it found at checkpoints; may be empty.
     """
-    checked = accuracy.get("accuracy") or {}
     return {
         "extent": pictures.extent if pictures else _extent(run),
         "unit": run["plan"].get("units", {}).get("horizontal", ""),
@@ -76,12 +77,7 @@ def map_data(
         ],
         "stages": _stages(run),
         "files": _files(run),
-        "checkpoints": [
-            [shown(str(p["name"])), p["x"], p["y"], p["difference"], p["outlier"]]
-            for p in checked.get("differences", ())
-        ],
-        "checkpoint_unit": checked.get("unit", ""),
-        "checkpoint_range": (checked.get("all") or {}).get("p95_abs") or 1.0,
+        **checkpoints_on_map(accuracy),
         "time_colours": [_css(ramp_colour(VIRIDIS, i / (TIME_COLOURS - 1))) for i in range(TIME_COLOURS)],
     }
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError, refused_write
+from tiler.jsontext import read_object
 from tiler.places import partial_path
 from tiler.results import RUN
 
@@ -38,18 +39,18 @@ def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> di
         There is no such run, it was not finished, or its method or parameters are others.
     """
     try:
-        found = json.loads((out / "run.json").read_text(encoding="utf-8"))
-        before, statistics = found["plan"], found["statistics"]
+        found = read_object((out / RUN).read_text(encoding="utf-8"))
+        before, statistics, state = found["plan"], dict(found["statistics"]), found["state"]
         same = (before["method"], before["parameters"]) == (method, parameters)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
             f"--statistics {out}: holds no run.json of a finished run; name an OUT folder"
         ) from error
-    if found["state"] != "done":
+    if state != "done":
         raise ConfigError(f"--statistics {out}: that run is not finished; run it to its end first")
     if not same:
         raise ConfigError(
             f"--statistics {out}: that run used {before['method']} with other parameters or another method; "
             "use the same --method and --set"
         )
-    return dict(statistics)
+    return statistics
