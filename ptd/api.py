@@ -13,7 +13,7 @@ from ptd.cells import lowest_per_cell
 from ptd.frame import Cells, Scale, Window
 from ptd.methods import METHODS
 from ptd.params import to_json
-from ptd.passes import Int32, Pass, Points, RunFacts, UInt8
+from ptd.passes import KINDS, Int32, Model, Pass, Points, RunFacts, UInt8
 
 COUNTS_PER_METRE = 1000
 LARGEST_EXTENT_M = 60_000.0
@@ -47,6 +47,7 @@ def classify(
     rgb: npt.ArrayLike | None = None,
     returns: npt.ArrayLike | None = None,
     sigma: float | None = None,
+    kind: str | None = None,
 ) -> Result:
     """Classify a cloud that fits into memory.
 
@@ -66,13 +67,15 @@ def classify(
         Return number and number of returns.
     sigma : float, optional
         Noise of heights in metres; estimated by the methods that need it if left out.
+    kind : {"lidar", "dim"}, optional
+        What made the cloud, a laser scanner or matching of images; decided from the data if left out.
 
     Raises
     ------
     ValueError
         Not an [n, 3] array, values that are not finite, an extent above 60 km, an unknown method,
-        parameters of another, columns of another length, a column that the method cannot do without, or a
-        cloud that it cannot work on (`ptd.passes.MethodRefusal`).
+        parameters of another, a kind that there is not, columns of another length, a column that the method
+        cannot do without, or a cloud that it cannot work on (`ptd.passes.MethodRefusal`).
     """
     points = np.asarray(xyz, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -91,40 +94,75 @@ def classify(
     for name in METHODS[method].needs:
         if columns[name] is None:
             raise ValueError(f"method {method} needs {name}")
-    labels, state, stats = do_passes(params, counts, columns, scale, Window.everything(), sigma)
+    if kind not in (None, *KINDS):
+        raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
+    facts = RunFacts(columns["rgb"] is not None, sigma, kind)
+    labels, state, stats = do_passes(params, counts, columns, scale, Window.everything(), facts)
     return Result(labels, {"method": method, "parameters": to_json(params), "statistics": state}, stats)
 
 
 def do_passes(
-    params: Any,
-    counts: Int32,
-    columns: dict[str, Any],
-    scale: Scale,
-    window: Window,
-    sigma: float | None = None,
+    params: Any, counts: Int32, columns: dict[str, Any], scale: Scale, window: Window, facts: RunFacts
 ) -> tuple[UInt8, dict[str, Any], dict[str, Any]]:
-    """All passes of a method on one window: labels, state, and the statistics of each pass."""
-    state: dict[str, Any] = {"run": asdict(RunFacts(columns["rgb"] is not None, sigma))}
+    """All passes of a method on one window that apply: labels, state, and the statistics of each pass."""
+    state: dict[str, Any] = {"run": asdict(facts)}
     stats = {}
-    everything = Points(counts, np.zeros(counts.shape[1], np.uint8), **columns)
-    some = index = None
+    cloud = _Cloud(Points(counts, np.zeros(counts.shape[1], np.uint8), **columns))
     if params.candidate_cell_m and not all(step.every_point for step in params.passes):
-        index = lowest_per_cell(counts[0], counts[1], counts[2], Cells.of(params.candidate_cell_m, scale))
-        some = everything.take(index)
+        cell = Cells.of(params.candidate_cell_m, scale)
+        cloud.index = lowest_per_cell(counts[0], counts[1], counts[2], cell)
+        cloud.some = cloud.everything.take(cloud.index)
     for number, step in enumerate(params.passes, start=1):
-        seen = everything if step.every_point or some is None else some
-        model = step.fit(_given(seen, step), window, window, scale, state)
+        if not step.applies(state):
+            continue
+        model = step.fit(_given(cloud.seen(step), step), window, window, scale, state)
+        if step.elects:
+            cloud.elect(model.elect(window))
         if step.gives_labels:
-            later = params.passes[number:]
-            if some is not None and later and not any(other.every_point for other in later):
-                some = replace(some, labels=model.label(_given(some, step))[0])  # nobody asks for the others'
-            else:
-                everything = replace(everything, labels=model.label(_given(everything, step))[0])
-                if some is not None and later:
-                    some = replace(some, labels=everything.known_labels()[index])
+            cloud.label(step, model, [other for other in params.passes[number:] if other.applies(state)])
         stats[step.name] = model.stats
         state = step.reduce([model.partial()], state)
-    return everything.known_labels(), state, stats
+    return cloud.everything.known_labels(), state, stats
+
+
+@dataclass
+class _Cloud:
+    """What passes see: all points, one of each of the method's cells (if it has any), and elected ones; labelled."""
+
+    everything: Points
+    some: Points | None = None
+    index: Any = None
+    elected: Points | None = None
+
+    def seen(self, step: Pass) -> Points:
+        """What a pass looks at."""
+        if step.elected:
+            if self.elected is None:
+                raise ValueError(
+                    f"pass {step.name} works on elected points, and no pass before it elected any"
+                )
+            return self.elected
+        return self.everything if step.every_point or self.some is None else self.some
+
+    def elect(self, xyz: Int32) -> None:
+        """Other points are the elected ones, without labels."""
+        self.elected = Points(xyz, np.zeros(xyz.shape[1], np.uint8))
+
+    def label(self, step: Pass, model: Model, later: list[Pass]) -> None:
+        """Label what the pass is on; ``later``: the passes after it that apply."""
+        if step.elected and later:
+            seen = self.seen(step)
+            self.elected = replace(seen, labels=model.label(_given(seen, step))[0])
+            return
+        wanted = not later or any(other.every_point or other.label_margin_m for other in later)
+        if self.some is not None and not wanted:
+            self.some = replace(
+                self.some, labels=model.label(_given(self.some, step))[0]
+            )  # nobody asks for the others'
+            return
+        self.everything = replace(self.everything, labels=model.label(_given(self.everything, step))[0])
+        if self.some is not None and later:
+            self.some = replace(self.some, labels=self.everything.known_labels()[self.index])
 
 
 def _given(points: Points, step: Pass) -> Points:

@@ -26,6 +26,10 @@ State = Mapping[str, Any]
 ``notes``, a list of lines that `Pass.reduce` may lengthen, tell the user what was decided from the data."""
 
 
+KINDS = ("lidar", "dim")
+"""What made a cloud: laser scanning, or matching of images."""
+
+
 def noted(state: State, *lines: str) -> list[str]:
     """The notes of a state, and more of them."""
     return [*state.get("notes", []), *lines]
@@ -45,10 +49,14 @@ class RunFacts:
         Whether points have colours.
     sigma_m : float or None
         The noise of heights as the user says it (``--sigma``).
+    kind : {"lidar", "dim"} or None
+        What made the cloud as the user says it (``--kind``): laser scanning, or matching of images. None: to be
+        decided from the data.
     """
 
     rgb: bool = False
     sigma_m: float | None = None
+    kind: str | None = None
 
 
 @dataclass(frozen=True)
@@ -111,8 +119,19 @@ class Model(ABC):
         """Labels (uint8 [n], below 128) and marks (bool [n]: not certified) of points of the window.
 
         The labels of the last pass are ASPRS classes; those of the passes before may mean anything to their method.
-        Not called if the pass gives no labels.
+        Not called if the pass gives no labels. With `Pass.label_margin_m` other points follow those to be labelled:
+        what is said of them is not used.
         """
+
+    def elect(self, bounds: Window) -> Int32:
+        """The elected points whose x and y lie within half-open bounds: int32 [3, m], local counts.
+
+        Called only if the pass elects, for parts of the core. Which points there are and in which order must follow
+        from what lies around them alone, whatever the window and the bounds. In a tiled run the bounds are those of a
+        bucket, which keeps at most as many elected points as its rows hold of points: cells with one each nest in
+        buckets if 8 m are a whole number of them.
+        """
+        raise NotImplementedError("the pass elects no points")
 
     def partial(self) -> dict[str, Any]:
         """What the window's core adds to the run's statistics, JSON-able; each point is in one core."""
@@ -167,6 +186,17 @@ class Pass(ABC):
         Where nothing farther from a place than this can change anything there, so that a window with so much around
         its core, no more and no less, gives the untiled answer: neither wider halos nor open sides are needed. 0: the
         core alone. None: no such bound.
+    elects : bool
+        The pass makes points of its own (`Model.elect`), say one a cell, for the passes after it that are on `elected`
+        ones; it gives no labels. Another such pass after it replaces them.
+    elected : bool
+        `fit` is given the elected points of the window instead of the cloud's: xyz and, if asked for, the labels of the
+        last such pass before (0: none yet). Labels of the pass are of elected points, and kept for the next such pass;
+        those of the last pass that applies are of all points, as ever. So `Model.label` is given points of that sort,
+        and labels among their columns are of points of that sort.
+    label_margin_m : float
+        `Model.label` needs the points around those that it labels: it is given those, then all others that take part
+        in filtering within this distance of the rectangle that the first ones fill, in any order.
     """
 
     name: str
@@ -175,6 +205,18 @@ class Pass(ABC):
     gives_labels: bool = True
     halo_m: float | None = None
     reach_m: float | None = None
+    elects: bool = False
+    elected: bool = False
+    label_margin_m: float = 0.0
+
+    def applies(self, state: State) -> bool:
+        """Whether the pass is done at all, given the state after the passes before; else it is passed over.
+
+        For passes of which a run needs only some, as the survey decides. What is decided must stay: asked again with
+        the state after a later pass, the answer is the same. Passes that give labels or elect ask this of all after
+        them, so whoever decides comes before these. The last pass that applies labels all points.
+        """
+        return True
 
     @abstractmethod
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:

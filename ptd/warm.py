@@ -44,13 +44,18 @@ def warm_filters(method: str, tell: Callable[[], None]) -> None:
     """Compile what a method uses, unless that was done; ``tell`` is called before it takes long."""
     from ptd.api import do_passes
     from ptd.methods import METHODS
+    from ptd.passes import KINDS, Pass, RunFacts
 
     def work() -> None:
         xyz, rgb = _scene()
         counts = np.ascontiguousarray((1000 * xyz).T.astype(np.int32))
         columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": np.ones((2, len(xyz)), np.uint8)}
         tile = Window(0, 0, 60_000, 60_000)  # points beyond it are in doubt, which has kernels of its own
-        do_passes(METHODS[method].params(), counts, columns, Scale(), tile)
+        params = METHODS[method].params()
+        # Passes that do not always apply have kernels of their own.
+        branches = any(type(step).applies is not Pass.applies for step in params.passes)
+        for kind in KINDS if branches else (None,):
+            do_passes(params, counts, columns, Scale(), tile, RunFacts(rgb=True, kind=kind))
 
     _once(method, tell, work)
 
