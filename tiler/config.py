@@ -110,6 +110,10 @@ class RunConfig:
     skip_overlap: bool = setting(False, "overlap points take no part in filtering", kind="flag")
     sigma: Fraction | None = setting(None, "noise of heights, for methods that need it; default: estimated from planar "
                                      "patches", unit="m", kind="length")  # fmt: skip
+    kind: str | None = setting(
+        None, "what made the cloud, a laser scanner (als) or matching of images from drones or aircraft (dim), for "
+        "methods that treat them differently; default: decided from the data", kind="choice", choices=("als", "dim"),
+    )  # fmt: skip
     statistics: str | None = setting(
         None,
         "OUT folder of an earlier run of the same method, whose run-wide statistics are used; default: this run's own",
@@ -133,6 +137,11 @@ class RunConfig:
     def surface_percent(self) -> int | None:
         """Percentile of the heights of a cell that makes the DTM; None for all points."""
         return {"all": None, "median": 50}[self.surface] if self.surface[:1] != "p" else int(self.surface[1:])
+
+    @property
+    def source_kind(self) -> str | None:
+        """`kind` as methods know it (`ptd.passes.RunFacts`)."""
+        return "lidar" if self.kind == "als" else self.kind
 
     @property
     def exported(self) -> tuple[str, ...]:

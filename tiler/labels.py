@@ -31,7 +31,8 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
         job.store.clear(f"filter{number}")  # its labels are about to be overwritten
     config, known = job.plan.config, job.plan.statistics
     sigma = None if config.sigma is None else float(config.sigma)
-    state: dict[str, Any] = {"run": dataclasses.asdict(RunFacts(job.plan.meta.has_rgb, sigma))}
+    facts = RunFacts(job.plan.meta.has_rgb, sigma, config.source_kind)
+    state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
     labels = assembled.digests
     warm = functools.partial(warm_filters, config.method)
     job.facts["statistics"] = {}

@@ -14,7 +14,7 @@ from cli.session import TilerCommand, current_session
 from cli.summary import failed_lines
 
 SETTINGS = (
-    "method", "parameters", "sigma", "tile_size", "halo", "memory", "workers", "units", "keep_classes",
+    "method", "parameters", "sigma", "kind", "tile_size", "halo", "memory", "workers", "units", "keep_classes",
     "skip_synthetic", "skip_overlap", "salvage",
 )  # fmt: skip
 

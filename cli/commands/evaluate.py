@@ -18,7 +18,7 @@ from tiler.errors import ConfigError
 from tiler.observe.events import Listener
 from tiler.values import parse_classes
 
-SETTINGS = ("method", "parameters", "sigma", "units", "tile_size", "halo", "memory", "workers")
+SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo", "memory", "workers")
 
 
 @click.command("evaluate", cls=TilerCommand)

@@ -232,6 +232,16 @@ def test_a_refusal_is_one_line(tmp_path: Path) -> None:
         do(path, tmp_path / "out", method="lonely", sigma="9")
 
 
+def test_what_the_user_says_of_the_cloud_reaches_the_passes(tmp_path: Path) -> None:
+    path = clouds.write(tmp_path / "city.laz", clouds.city(64.0))
+    for kind, known in (("als", "lidar"), ("dim", "dim"), (None, None)):
+        result = do(path, tmp_path / "out", "filter", method="lonely", kind=kind, sigma="0.1")
+        assert result.summary["statistics"]["mean"]["run"] == {"rgb": False, "sigma_m": 0.1, "kind": known}
+        assert computed(result)["filter0"] == result.summary["stages"]["filter0"]["tasks"]
+    with pytest.raises(ConfigError, match="kind 'sonar': choose one of als, dim"):
+        do(path, tmp_path / "out", kind="sonar")
+
+
 def test_colours_that_a_method_needs_are_asked_for_in_the_plan(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

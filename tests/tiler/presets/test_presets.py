@@ -31,6 +31,14 @@ def test_it_is_valid_and_says_what_it_is_for(name: str) -> None:
     assert RunConfig.from_mapping(config.to_json()) == config
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"), [("als", "lidar"), ("city", "lidar"), ("dim", "dim"), ("usgs", None)]
+)
+def test_what_made_the_cloud_is_said_by_presets_of_one_kind(name: str, kind: str | None) -> None:
+    assert RunConfig.from_mapping({"preset": name}).source_kind == kind
+    assert RunConfig.from_mapping({"preset": name, "kind": "dim"}).source_kind == "dim"
+
+
 def test_the_specification_of_usgs() -> None:
     config = RunConfig.from_mapping({"preset": "usgs"})
     assert (config.nodata, config.resolution) == (-999999.0, 1)
