@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -16,6 +14,7 @@ from cli import exit_codes
 from cli.ending import end_children, ended_in_time
 from cli.output import say
 from cli.session import Session
+from cli.streams import open_streams
 from tiler import __version__
 from tiler.errors import TilerError
 
@@ -90,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     own_process = arguments is None
-    with _open_streams(), ended_in_time(own_process):
+    with open_streams(own_process), ended_in_time(own_process):
         try:
             code = _run(arguments)
         except KeyboardInterrupt:  # while an error was being told
@@ -98,20 +97,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if own_process and code == exit_codes.INTERRUPTED:
             end_children()  # those that were just being started
         return code
-
-
-@contextmanager
-def _open_streams() -> Iterator[None]:
-    """Streams for a process that was started with its own closed: what is written there is for nobody."""
-    with open(os.devnull, "w", encoding="utf-8") as nowhere:
-        closed = [name for name in ("stdout", "stderr") if getattr(sys, name) is None]
-        for name in closed:
-            setattr(sys, name, nowhere)
-        try:
-            yield
-        finally:
-            for name in closed:
-                setattr(sys, name, None)
 
 
 def _run(arguments: Sequence[str] | None) -> int:

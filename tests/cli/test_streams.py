@@ -1,0 +1,63 @@
+"""What becomes of a command whose output nobody reads, or cannot be written."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, environment
+from tests.invariants import clouds
+
+
+def unread() -> IO[bytes]:
+    """A pipe whose reader went away."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    return os.fdopen(writing, "wb")
+
+
+def run(
+    *arguments: object, stdout: IO[bytes] | int, stderr: IO[bytes] | int
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(*arguments), stdout=stdout, stderr=stderr, text=True, env=environment(), check=False,
+        timeout=TIMEOUT_SECONDS,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [(("methods",), 0), (("config", "--template"), 0), (("--help",), 0), (("info", "no"), 3)],
+)
+def test_a_reader_that_went_away_is_no_failure(arguments: tuple[str, ...], code: int) -> None:
+    with unread() as nobody:
+        done = run(*arguments, stdout=nobody, stderr=subprocess.PIPE)
+    assert done.returncode == code
+    assert done.stderr.count("tiler: error") == (code != 0)
+    assert done.stderr.count("\n") == (code != 0)
+
+
+def test_a_run_that_nobody_listens_to_goes_on(tmp_path: Path) -> None:
+    cloud = clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
+    cut = tmp_path / "cut.laz"
+    cut.write_bytes(cloud.read_bytes()[:-2000])
+    options = ("-o", tmp_path / "out", "--method", "classic", "--in-process", "--resolution", 1)
+    with unread() as nobody:
+        assert run("run", cloud, cut, *options, stdout=nobody, stderr=nobody).returncode == 5
+    assert (tmp_path / "out" / "dtm.tif").is_file()
+    with unread() as nobody:
+        assert run("run", cloud, *options, stdout=nobody, stderr=nobody).returncode == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is full")
+def test_results_on_a_full_disk_are_an_error_and_progress_is_not() -> None:
+    with open("/dev/full", "wb") as full:
+        done = run("methods", stdout=full, stderr=subprocess.PIPE)
+        assert done.returncode == 4
+        assert_one_line(done.stderr, "stdout: cannot be written (No space left on device)")
+        done = run("info", "no", stdout=subprocess.PIPE, stderr=full)
+        assert done.returncode == 3
