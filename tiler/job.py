@@ -25,7 +25,7 @@ from tiler.report import write_run_file
 from tiler.results import RUN
 from tiler.schedule import Outcome, Task
 from tiler.shown import stored
-from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
+from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore, store_exists
 
 LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
 
@@ -179,6 +179,7 @@ class Job:
             "error": outcome.error or "",
             "kind": outcome.error_kind or "",
         }
+        self._refuse_gone()
         if outcome.fatal:
             raise DiskFullError(f"{task.stage} {task.key}: {outcome.error}")
         self.damaged.update(outcome.damaged)
@@ -191,6 +192,15 @@ class Job:
         if self.plan.config.on_error == "stop":
             raise ProcessingError(
                 f"{task.stage} {task.key}: {outcome.error}; --on-error skip goes on without it"
+            )
+
+    def _refuse_gone(self) -> None:
+        """Raise ProcessingError where it is not the task that failed: everything that it needs was removed."""
+        places = [self.store.url] if not store_exists(self.store.url) else []
+        places += [str(self.out)] if not self.out.is_dir() else []
+        if places:
+            raise ProcessingError(
+                f"{places[-1]}: was removed while the run went on; run again, and what is gone is made anew"
             )
 
     def _tell_tile(self, outcome: Outcome) -> None:

@@ -182,8 +182,22 @@ def export(
     job.facts["earlier_outputs"] = {
         p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
     }
+    _refuse_removed(job)
     if not rasters:
         raise ProcessingError(f"{job.failed[-1]['key']} could not be written: {job.failed[-1]['error']}")
+
+
+def _refuse_removed(job: Job) -> None:
+    """Raise ProcessingError where files that were written are gone already: a run that is done has them."""
+    outputs = list(job.facts["outputs"])
+    sizes = sizes_at([joined(job.products, path) for path in outputs])
+    gone = [path for path, size in zip(outputs, sizes, strict=True) if size is None]
+    if gone:
+        more = f" and {len(gone) - 1:,} more files" if len(gone) > 1 else ""
+        raise ProcessingError(
+            f"{joined(job.products, gone[0])}{more}: removed while the run went on; run again, and what is gone is "
+            "made anew"
+        )
 
 
 def _basis(gridding: Gridding) -> str:

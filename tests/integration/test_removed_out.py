@@ -1,0 +1,66 @@
+"""OUT or the store is removed while the run goes on: that is what is said, and not that an input is to blame."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.invariants import clouds
+from tests.invariants.runs import do
+from tiler import file_tasks, tasks
+from tiler.errors import ProcessingError
+
+WORKS = {
+    "spool_piece": tasks, "assemble_buckets": tasks, "filter_tile": tasks, "grid_block": tasks, "write_cog": file_tasks,
+    "write_classified": tasks,
+}  # fmt: skip
+
+
+@pytest.fixture
+def cloud(tmp_path: Path) -> Path:
+    return clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
+
+
+def remove_at(name: str, place: Path, early: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Remove a folder before, or after, a task of this kind is done for the first time."""
+    work = getattr(WORKS[name], name)
+
+    def removing(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        if early:
+            shutil.rmtree(place, ignore_errors=True)
+        record: dict[str, Any] = work(store_url, arguments)
+        shutil.rmtree(place, ignore_errors=True)
+        return record
+
+    monkeypatch.setattr(WORKS[name], name, removing)
+
+
+@pytest.mark.parametrize("early", [True, False])
+@pytest.mark.parametrize("name", WORKS)
+@pytest.mark.parametrize("what", ["", "store.zarr"])
+def test_what_was_removed_is_named(
+    what: str, name: str, early: bool, cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    remove_at(name, out / what, early, monkeypatch)
+    with pytest.raises(ProcessingError) as caught:
+        do(cloud, out)
+    assert str(caught.value).startswith(f"{out / what}: was removed while the run went on; run again")
+    monkeypatch.undo()
+    assert do(cloud, out).exit_code == 0
+
+
+@pytest.mark.parametrize("name", ["write_cog", "write_classified"])
+def test_a_run_is_not_done_without_its_results(
+    name: str, cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    remove_at(name, out, False, monkeypatch)
+    with pytest.raises(ProcessingError, match=r"out/.*(: removed while the run|run.json: cannot be written)"):
+        do(cloud, out, store=str(tmp_path / "store"))
+    monkeypatch.undo()
+    assert do(cloud, out, store=str(tmp_path / "store")).exit_code == 0
+    assert (out / "dtm.tif").is_file()
