@@ -27,7 +27,8 @@ DAMAGED = "?"
 FOLDER_LOCK = f"{SCRATCH_PREFIX}lock.json"
 """Name of the lease in a folder of results."""
 SETTLE_SECONDS = 0.5
-"""Object stores cannot write exclusively through fsspec: the last of two writers holds the lease after this time."""
+"""Where nothing is written exclusively (object stores through fsspec, disks without hard links), the last of two
+writers holds the lease after this time."""
 
 
 class Lease:
@@ -69,8 +70,8 @@ class Lease:
             if not _stale(self._storage, self._key, holder):
                 raise _refused(self._storage, holder)
             self._storage.delete(self._key)
-        self._storage.put_json_new(self._key, self._body())
-        if taken_over or self._storage.root is None:
+        exclusive = self._storage.put_json_new(self._key, self._body())
+        if taken_over or not exclusive:
             time.sleep(SETTLE_SECONDS)
         self.check()
 

@@ -7,6 +7,7 @@ one, or none.
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import zlib
@@ -32,6 +33,8 @@ from tiler.store import layout
 zarr.config.set({"async.concurrency": 8, "threading.max_workers": 1})
 
 _REQUESTS_AT_ONCE = 64
+_NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
+"""What file systems of memory sticks and some network shares say when a file is to get a second name."""
 
 
 @dataclass(frozen=True)
@@ -110,15 +113,22 @@ class Storage:
         except OSError as error:
             raise failed_write(self.url, key, error) from error
 
-    def put_new(self, key: str, data: bytes) -> None:
+    def put_new(self, key: str, data: bytes) -> bool:
         """Write an object unless one is there; a later `get` says which it is.
 
-        Exclusive on local file systems; elsewhere the last of two writers wins.
+        Returns
+        -------
+        bool
+            Whether that is exclusive, as on local file systems with hard links; else the last of two writers wins.
         """
         try:
             sync(self.zarr_store.set_if_not_exists(key, default_buffer_prototype().buffer.from_bytes(data)))
         except OSError as error:
-            raise failed_write(self.url, key, error) from error
+            if error.errno not in _NO_HARD_LINKS:
+                raise failed_write(self.url, key, error) from error
+            self.put(key, data)
+            return False
+        return self.root is not None
 
     def delete(self, key: str) -> None:
         """Remove an object if it is there."""
@@ -187,9 +197,9 @@ class Storage:
         """Write a JSON-able value with the checksum of its text; URLs in it lose passwords and tokens."""
         self.put(key, _sealed(body))
 
-    def put_json_new(self, key: str, body: Any) -> None:
+    def put_json_new(self, key: str, body: Any) -> bool:
         """`put_json` by way of `put_new`."""
-        self.put_new(key, _sealed(body))
+        return self.put_new(key, _sealed(body))
 
     def get_json(self, key: str) -> Any:
         """The value that `put_json` wrote; None where there is none; StoreError where it is damaged."""

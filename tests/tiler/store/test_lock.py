@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import socket
@@ -219,3 +220,22 @@ def test_a_run_in_a_container_is_not_taken_for_dead(tmp_path: Path, meta: StoreM
         holder.communicate(b"")
     with store.lock():
         pass
+
+
+def test_a_disk_without_hard_links_has_leases(
+    tmp_path: Path, meta: StoreMeta, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a memory stick."""
+
+    def refused(*arguments: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refused)
+    store = create_store(str(tmp_path / "s"), meta)
+    with store.lock() as held:
+        held.check()
+        with pytest.raises(LockedError, match="in use by process"), open_store(store.url).lock():
+            pass
+    with locked_folder(str(tmp_path)):
+        pass
+    assert sorted(p.name for p in tmp_path.rglob("*") if p.is_file()) == ["zarr.json"]
