@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
+from functools import reduce
+from pathlib import Path
 from typing import Any
 
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell
 from tiler.errors import InputError, ProcessingError
+from tiler.ingest import FAR, OUTSIDE_AREA, Strays
 from tiler.job import Job
+from tiler.places import is_url
+from tiler.plan import Plan, bounds_of, too_much_between
 from tiler.schedule import Task
 from tiler.store import BucketInfo, Commits
 from tiler.tasks import (
@@ -22,10 +30,11 @@ from tiler.tasks import (
 
 
 def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
-    """Decode; a source with a piece that failed is left out whole."""
+    """Decode; a source with a piece that failed, or whose points cannot be where they are, is left out whole."""
     spooled = job.perform("spool", spool_tasks(job.plan, sources))
     bad = {source_of(f["key"]): f["error"] for f in job.failed if f["stage"] == "spool"}
     job.failed = [f for f in job.failed if f["stage"] != "spool"]
+    bad |= _misplaced(job, [s for s in sources if s.name not in bad], spooled)
     good = [s for s in sources if s.name not in bad]
     left_out = [(str(s.info.path), bad[s.name]) for s in sources if s.name in bad]
     job.quarantined += [{"path": path, "error": error} for path, error in left_out]
@@ -61,6 +70,57 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
             f"all {read:,} points were dropped ({', '.join(dropped)}): nothing to make a terrain of"
         )
     return spooled, good
+
+
+def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, str]:
+    """Name -> reason of sources whose points lie where neither header nor sample said, and where no raster reaches."""
+    records = by_source(spooled)
+    held = {
+        s.name: sum(r["stored"] + r["dropped"].get(OUTSIDE_AREA, 0) for r in records[s.name]) for s in sources
+    }
+    if not any(held.values()):
+        return {}
+    found = {
+        s.name: f"all its {s.info.points:,} points have coordinates that no run can hold; see to its scales and offsets"
+        for s in sources
+        if not held[s.name]
+    }
+    if job.plan.config.sheets is None:
+        found |= _far_away(job.plan, None if is_url(job.products) else Path(job.products), sources, spooled)
+    if found and (job.plan.config.on_error == "stop" or len(found) == len(sources)):
+        source = next(s for s in sources if s.name in found)
+        raise InputError(f"{source.info.path}: {found[source.name]}")
+    return found
+
+
+def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Commits) -> dict[str, str]:
+    """Name -> reason of sources that make the raster too wide, against the bounds that the plan was made with."""
+    records, lattice = by_source(spooled), plan.meta.bucket
+    told = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
+    doubtful = [
+        s
+        for s in sources
+        if any(
+            r["bounds"] and told[s.name].union(Bounds.from_json(r["bounds"])) != told[s.name]
+            for r in records[s.name]
+        )
+    ]
+    strays = strays_of(plan, doubtful, spooled)
+    extents: dict[str, Bounds] = {}
+    for source in doubtful:
+        mine = strays.get(source.number, Strays())
+        cells = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]} - mine.alone
+        hull = lattice.hull(cells) if cells else told[source.name]
+        hull = hull if mine.extent is None else hull.intersection(mine.extent)
+        if told[source.name].union(hull) != told[source.name]:
+            extents[source.name] = hull
+    extent = reduce(Bounds.union, extents.values(), plan.extent)
+    if plan.area is not None:
+        extent = extent.intersection(plan.area.bounds)
+    remedy = too_much_between(dataclasses.replace(plan, extent=extent), out) if extents else None
+    if remedy is None:
+        return {}
+    return dict.fromkeys(extents, f"holds points far outside of the bounds that its header gives: {remedy}")
 
 
 def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:

@@ -271,7 +271,12 @@ def describe_raster(path: Path) -> dict[str, Any]:
 def _heights(raster: Any) -> dict[str, Any]:
     """Statistics of the first band's valid pixels; one block is in memory at a time."""
     count, total, squares, low, high = 0, 0.0, 0.0, math.inf, -math.inf
-    for _, window in raster.block_windows(1):
+    from tiler.evaluate.heights import blocks_with_files
+
+    windows = (((row, row + high), (col, col + wide)) for row, col, high, wide in blocks_with_files(raster))
+    if raster.driver != "VRT":
+        windows = (window for _, window in raster.block_windows(1))
+    for window in windows:
         block = raster.read(1, window=window, masked=True)
         values = block.compressed().astype(np.float64)
         values = values[np.isfinite(values)]

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+import pytest
 import rasterio
 
-from tests.invariants.runs import do
+from tests.invariants.runs import do, dtm
+from tiler.errors import ConfigError, InputError
 
 
 def write_points(path: Path, places: np.ndarray, classes: int = 2) -> Path:
@@ -47,9 +49,9 @@ def test_four_points_4000_km_apart(tmp_path: Path) -> None:
 
 def test_coarse_pixels_of_a_wide_extent(tmp_path: Path) -> None:
     """A block of 512 such pixels is wider than what one TIN can be exact for."""
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 80e3, 800.0), np.arange(0, 2400.0, 800.0)))
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0, 60e3, 1500.0), np.arange(0, 4500.0, 1500.0)))
     path = write_points(tmp_path / "strip.las", np.stack([x, y, 100 + 0.001 * x]))
-    do(path, tmp_path / "out", method="keep", crs="none", resolution="500", max_edge="2000")
+    do(path, tmp_path / "out", method="keep", crs="none", resolution="500", max_edge="4000")
     with rasterio.open(tmp_path / "out" / "dtm.tif") as raster:
         heights, (west, _, _, _) = raster.read(1), raster.bounds
     column = np.arange(heights.shape[1])
@@ -57,3 +59,90 @@ def test_coarse_pixels_of_a_wide_extent(tmp_path: Path) -> None:
     assert filled.sum() > 0.99 * len(column)
     expected = 100 + 0.001 * (west + 500 * (column + 0.5))
     np.testing.assert_allclose(heights[2][filled], expected[filled], atol=0.005)
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> list[Path]:
+    return [site(tmp_path / f"g{i}.las", 500_000 + 50 * i, 5_000_000, seed=i) for i in range(4)]
+
+
+KEEP = {"method": "keep", "crs": "EPSG:25832", "resolution": "1"}
+
+
+@pytest.mark.parametrize(
+    ("west", "south", "words"),
+    [
+        (1e9, 1e9, "where no CRS has coordinates"),
+        (0.0, 0.0, "km from the other files: farther than one run can hold"),
+        (0.0, 4_000_000.0, "nearly all of them empty; use --sheets"),
+    ],
+)
+def test_a_file_with_absurd_coordinates_is_left_out(
+    west: float, south: float, words: str, good: list[Path], tmp_path: Path
+) -> None:
+    bad = site(tmp_path / "bad.las", west, south)
+    result = do([*good, bad], tmp_path / "out", **KEEP)
+    assert result.exit_code == 5
+    (left,) = result.summary["quarantined"]
+    assert left["path"] == str(bad)
+    assert words in left["error"]
+    do(good, tmp_path / "alone", **KEEP)
+    assert (dtm(tmp_path / "out")[0] == dtm(tmp_path / "alone")[0]).all()
+    with pytest.raises(InputError, match="bad.las: lies at"):
+        do([*good, bad], tmp_path / "stopped", on_error="stop", **KEEP)
+    assert not (tmp_path / "stopped").exists()
+
+
+def test_one_good_file_is_told_from_one_beyond_its_crs(good: list[Path], tmp_path: Path) -> None:
+    bad = site(tmp_path / "bad.las", 0.0, 0.0)
+    assert do([bad, good[0]], tmp_path / "out", **KEEP).summary["quarantined"][0]["path"] == str(bad)
+    with pytest.raises(ConfigError, match=r"bad.las and .*g0.las lie up to .* run on each of them alone"):
+        do([bad, good[0]], tmp_path / "local", **{**KEEP, "crs": "none"})
+
+
+@pytest.mark.parametrize("in_one_file", [True, False])
+def test_two_sites_400_km_apart(in_one_file: bool, tmp_path: Path) -> None:
+    """One raster over both would have 1.6e11 pixels; as sheets they are a few."""
+    one, two = site(tmp_path / "1.las", 500_000, 5_000_000), site(tmp_path / "2.las", 900_000, 5_400_000)
+    inputs = [one, two]
+    if in_one_file:
+        inputs = [
+            write_points(tmp_path / "12.las", np.concatenate([laspy.read(p).xyz.T for p in inputs], axis=1))
+        ]
+    result = do(inputs, tmp_path / "out", sheets="50", **KEEP)
+    assert result.exit_code == 0
+    assert {p.name for p in (tmp_path / "out" / "dtm").iterdir()} == {
+        "dtm_500000_5000000.tif", "dtm_900000_5400000.tif",
+    }  # fmt: skip
+    assert result.summary["plan"]["projected_disk_bytes"] < 50e6
+    assert (tmp_path / "out" / "report.html").exists()
+    with pytest.raises(ConfigError, match=r"up to 400 km from one another: .* use --sheets or --bounds"):
+        do(inputs, tmp_path / "whole", **KEEP)
+    near = do(inputs, tmp_path / "part", bounds=[499_990, 4_999_990, 500_060, 5_000_060], **KEEP)
+    assert near.exit_code == 0
+    assert near.summary["dtm"]["width"] == 50
+
+
+def test_a_header_that_hides_where_points_lie(good: list[Path], tmp_path: Path) -> None:
+    """Neither its bounds nor the sample of the plan tell of a run of points far away."""
+    cloud = laspy.read(site(tmp_path / "lie.las", 500_200, 5_000_000, number=200_000))
+    cloud.x[20_000:20_500] += 390_000
+    cloud.y[20_000:20_500] += 390_000
+    cloud.write(tmp_path / "lie.las")
+    data = bytearray((tmp_path / "lie.las").read_bytes())
+    data[179:211] = np.array([500_250.0, 500_200.0, 5_000_050.0, 5_000_000.0]).tobytes()
+    (tmp_path / "lie.las").write_bytes(data)
+    result = do([*good, tmp_path / "lie.las"], tmp_path / "out", **KEEP)
+    assert result.exit_code == 5
+    (left,) = result.summary["quarantined"]
+    assert left["path"].endswith("lie.las")
+    assert "holds points far outside of the bounds that its header gives" in left["error"]
+    assert result.summary["dtm"]["width"] == 200
+
+
+def test_heights_that_no_run_can_hold(good: list[Path], tmp_path: Path) -> None:
+    x, y = np.random.default_rng(1).random((2, 500)) * 50
+    high = write_points(tmp_path / "high.las", np.stack([500_200 + x, 5_000_000 + y, np.full(500, 2e7)]))
+    result = do([*good, high], tmp_path / "out", **KEEP)
+    assert result.exit_code == 5
+    assert [q["path"] for q in result.summary["quarantined"]] == [str(high)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -65,8 +64,9 @@ def room(folder: Path) -> int:
 def test_a_disk_that_fills_up(
     share: float, cloud: Path, whole: Path, disk: SmallDisk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Else the plan would refuse. `tiler.plan.refuse` is a function, which hides the module of its name.
-    monkeypatch.setattr(sys.modules["tiler.plan.refuse"], "projected_disk", lambda plan: {"store": 0})
+    monkeypatch.setattr(
+        "tiler.plan.disk.projected_disk", lambda plan: {"store": 0}
+    )  # else the plan would refuse
     disk.has(int(room(whole) * share))
     out = disk.folder / "out"
     with pytest.raises(DiskFullError, match="the disk is full; free some and run again") as caught:

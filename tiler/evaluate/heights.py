@@ -217,7 +217,7 @@ def blocks_with_files(raster: Any) -> Iterator[tuple[int, int, int, int]]:
     A VRT over the sheets of far-apart sites has millions of these.
     """
     height, width = raster.shape
-    if raster.driver == "VRT":
+    if raster.driver == "VRT" and not (raster.transform.b or raster.transform.d):
         places = sorted({place for path in raster.files for place in _reached(raster, path)})
     else:
         places = [(row, col) for row in range(0, height, BLOCK) for col in range(0, width, BLOCK)]
@@ -232,11 +232,10 @@ def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
     if path == vrt.name:
         return
     with rasterio.open(path) as part:
-        corners = [
-            ~vrt.transform * (part.transform * (x, y)) for x in (0, part.width) for y in (0, part.height)
-        ]
-    left, right = (pick(x for x, _ in corners) for pick in (min, max))
-    top, bottom = (pick(y for _, y in corners) for pick in (min, max))
+        x0, y0, x1, y1 = part.bounds
+    place = vrt.transform
+    left, right = sorted((x - place.c) / place.a for x in (x0, x1))
+    top, bottom = sorted((y - place.f) / place.e for y in (y0, y1))
     for row in range(max(int(top) - 1, 0) // BLOCK * BLOCK, min(int(bottom) + 2, vrt.height), BLOCK):
         for col in range(max(int(left) - 1, 0) // BLOCK * BLOCK, min(int(right) + 2, vrt.width), BLOCK):
             yield row, col

@@ -6,6 +6,7 @@ Before them, for the plan: `find_inputs`, `inspect` (several files at a time), `
 """
 
 from tiler.ingest.assemble import assemble_buckets
+from tiler.ingest.extent import FAR
 from tiler.ingest.georeference import Agreement, Georeference, agree, same_horizontal, split
 from tiler.ingest.patches import Patch
 from tiler.ingest.requantise import bounds_in_counts
@@ -18,10 +19,12 @@ from tiler.ingest.sources import (
     pieces,
     read_guarded,
 )
-from tiler.ingest.spool import spool_piece
+from tiler.ingest.spool import OUTSIDE_AREA, spool_piece
 from tiler.ingest.strays import Strays, find_strays
 
 __all__ = [
+    "FAR",
+    "OUTSIDE_AREA",
     "Agreement",
     "Georeference",
     "Patch",

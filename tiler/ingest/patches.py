@@ -15,6 +15,9 @@ import numpy.typing as npt
 
 _PER_CELL = 4.0
 _ROUNDS = 6
+_FAR, _VOID = 10_000.0, 1000.0
+"""A run whose rectangle is longer, in units of the CRS, and so many times larger than what it fills, is divided."""
+_BINS = 16
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,26 @@ def find_patches(
     inside = [run for run in inside if run.shape[1]]
     if not inside:
         return (Patch(bounds[0], bounds[1], bounds[2], bounds[3], points),) if points else ()
+    parts = [_apart(run) for run in inside]
+    if any(len(found) > 1 for found in parts):  # of a small file the runs overlap: each part once
+        step = max(round(sum(run.shape[1] for run in inside) / points), 1)
+        inside, parts = inside[::step], parts[::step]
     share = points / len(inside)
-    return tuple(_patch(run, share, low, high) for run in inside)
+    return tuple(
+        _patch(part, share * part.shape[1] / run.shape[1], low, high)
+        for run, found in zip(inside, parts, strict=True)
+        for part in found
+    )
+
+
+def _apart(run: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+    """A run in parts where it jumps between places far from one another: its rectangle would hold all between them."""
+    sides = np.ptp(run, axis=1)
+    if sides.max() < _FAR or sides.prod() < _VOID * run.shape[1] / local_density(run):
+        return [run]
+    axis = int(np.argmax(sides))
+    place = np.floor((run[axis] - run[axis].min()) / sides[axis] * _BINS).astype(np.int64)
+    return [part for number in np.unique(place) for part in _apart(run[:, place == number])]
 
 
 def _patch(

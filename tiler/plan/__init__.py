@@ -1,15 +1,17 @@
 """The plan: everything that can be decided or refused before the first point is read.
 
 `make` reads the headers and decides, `model` is the plan; `sizes` has the rules for buckets, tiles and pixels,
-`memory` what a worker needs, `crowd` where the points are thickest, `disk` and `rates` what else it takes; `refuse`
-says no; `words` tells people.
+`memory` what a worker needs, `crowd` where the points are thickest, `far` which files lie too far away, `disk` and
+`rates` what else it takes; `refuse` says no; `words` tells people.
 """
 
+from tiler.plan.disk import too_much_between
 from tiler.plan.make import make_plan, output_names
 from tiler.plan.memory import PlannedPass
 from tiler.plan.model import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
 from tiler.plan.rates import remember
 from tiler.plan.refuse import refuse
+from tiler.plan.sizes import bounds_of
 from tiler.plan.words import crs_name, plan_json, plan_lines
 
 __all__ = [
@@ -18,6 +20,7 @@ __all__ = [
     "PIECE_POINTS",
     "Plan",
     "PlannedPass",
+    "bounds_of",
     "crs_name",
     "make_plan",
     "output_names",
@@ -25,4 +28,5 @@ __all__ = [
     "plan_lines",
     "refuse",
     "remember",
+    "too_much_between",
 ]

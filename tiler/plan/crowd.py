@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,21 @@ class Crowd:
         weights = np.concatenate([np.empty(0), *(w for _, w in parts)])
         self._cells, self._held = _gathered(cells, weights)
         self._fullest: dict[float, float] = {}
+
+    def squares(self, side_m: float, low: Sequence[float], high: Sequence[float]) -> float:
+        """About how many squares of that side, on a lattice anchored at 0, hold points between two corners, metres."""
+        inside = np.all((self._cells + 1) * self._cell > low, axis=1) & np.all(
+            self._cells * self._cell < high, axis=1
+        )
+        cells, held = self._cells[inside], self._held[inside]
+        if side_m <= self._cell:
+            return float(np.minimum(held, (self._cell / side_m) ** 2).sum())
+        # A square at each corner of a cell; of a few points over many squares each lies in one.
+        corners = [
+            (cells + corner) * self._cell // side_m for corner in ((0, 0), (0, 0.99), (0.99, 0), (0.99, 0.99))
+        ]
+        _, found = _gathered(np.concatenate(corners).astype(np.int64), np.tile(held, 4))
+        return float(np.minimum(found, 1.0).sum())
 
     def fullest(self, side_m: float) -> float:
         """About how many points the fullest square of that side holds."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -16,14 +17,17 @@ from ptd.params import to_json
 from ptd.passes import Pass
 from tiler import advice
 from tiler.config import RunConfig
+from tiler.core.area import Area
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import SourceInfo, agree, find_inputs, inspect, inspect_guarded
+from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded
 from tiler.places import cloud_path, is_url
 from tiler.plan import sizes
 from tiler.plan.area import area_of, part_of
 from tiler.plan.crowd import Crowd
+from tiler.plan.disk import emptiness_warning, too_much_between
+from tiler.plan.far import LeftOut, beyond_frame, minority
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
 from tiler.plan.model import KEEP, Plan
 from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
@@ -64,11 +68,55 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     sources, unreadable = _inspect_all(paths, config)
     agreement = agree(sources, config)
     notes += agreement.notes
-    filled = [s for s in sources if s.points and s.bounds is not None]
     notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
-    if not filled:
+    if not _filled(sources):
         raise InputError(f"{_names(sources)}: no points; there is nothing to make a terrain of")
     area = area_of(config, agreement.wkt, notes)
+    found = _Found(inputs, sources, unreadable, agreement, area, notes)
+    metres = float(agreement.units.horizontal)
+    found = _without(found, beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
+    plan = _settled(found, config, parameters, defaults)
+    while remedy := too_much_between(plan, folder):
+        found = _without(found, minority(plan.filled, agreement.wkt, metres, remedy), config)
+        plan = _settled(found, config, parameters, defaults)
+    refuse(plan, folder)
+    if out is not None:
+        refuse_targets(plan, str(out), paths)
+    return plan
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the inputs are: those that can be read, those that are left out, and what they agree on."""
+
+    inputs: Sequence[str]
+    sources: Sequence[SourceInfo]
+    unreadable: Sequence[tuple[str, str]]
+    agreement: Agreement
+    area: Area | None
+    notes: Sequence[str]
+
+
+def _filled(sources: Sequence[SourceInfo]) -> list[SourceInfo]:
+    return [s for s in sources if s.points and s.bounds is not None]
+
+
+def _without(found: _Found, far: LeftOut, config: RunConfig) -> _Found:
+    """The same without files that lie too far away; raises InputError where that is no way to go on."""
+    if not far:
+        return found
+    gone = {source.path: f"{source.path}: {reason}" for source, reason in far}
+    left = [source for source in found.sources if source.path not in gone]
+    if config.on_error == "stop" or not _filled(left):
+        raise InputError(next(iter(gone.values())))
+    unreadable = [*found.unreadable, *((str(path), reason) for path, reason in gone.items())]
+    return replace(found, sources=left, unreadable=unreadable)
+
+
+def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defaults: Any) -> Plan:
+    """The plan that follows from some files, whether or not it can work."""
+    notes, agreement = list(found.notes), found.agreement
+    filled = _filled(found.sources)
     metres = float(agreement.units.horizontal)
     extent, covered = sizes.extent_of(filled, metres)
     frame = CoordFrame(agreement.units, sizes.origin_of(extent), agreement.wkt)
@@ -90,17 +138,15 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     warnings = warnings_of(filled, agreement.units, tile, [step.halo_m for step in passes])
     warnings += advice.before(filled, config, density, _own_halo(defaults))
     plan = Plan(
-        config, tuple(sources), tuple(unreadable), meta, area, parameters,
+        config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
         config.workers or psutil.cpu_count() or 1, cell, points, covered, extent, crowd, None,
-        output_names(inputs, sources), tuple(notes), tuple(warnings),
+        output_names(found.inputs, found.sources), tuple(notes), tuple(warnings),
         None if config.statistics is None else earlier_statistics(Path(config.statistics), config.method, parameters),
     )  # fmt: skip
     plan = part_of(plan)
-    refuse(plan, folder)
-    if out is not None:
-        refuse_targets(plan, str(out), paths)
-    return plan
+    text = emptiness_warning(plan)
+    return plan if text is None else replace(plan, warnings=(*plan.warnings, text))
 
 
 def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[Path, Path]:

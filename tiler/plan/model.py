@@ -90,6 +90,11 @@ class Plan:
     statistics: dict[str, Any] | None = None
 
     @property
+    def filled(self) -> list[SourceInfo]:
+        """Sources that hold points."""
+        return [s for s in self.sources if s.points and s.bounds is not None]
+
+    @property
     def margin(self) -> int:
         """Counts around the area within which points are read.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +16,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import ConfigError
 from tiler.ingest import SourceInfo
 from tiler.places import joined
-from tiler.plan.disk import projected_disk
+from tiler.plan.disk import free_bytes, needed_bytes
 from tiler.plan.model import KEEP, Plan
 from tiler.results import ASIDE, CLASSIFIED, EVENTS, REPORT, RUN, STORE, folder_here, foreign_files
 from tiler.targets import Target, check_folder, check_targets
@@ -177,9 +176,7 @@ def _refuse_disk(plan: Plan, out: Path) -> None:
         raise ConfigError(f"-o {out}: {existing} is a file; name a folder")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise ConfigError(f"-o {out}: {existing} cannot be written; name a folder on a disk that can")
-    disk = projected_disk(plan)
-    need = sum(disk.values()) - (disk["store"] if plan.config.store is not None else 0)
-    free = shutil.disk_usage(existing).free
+    need, free = needed_bytes(plan), free_bytes(out)
     if need > free:
         raise ConfigError(
             f"{out}: needs about {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free; "

@@ -173,9 +173,35 @@ def _read(place: str, longer: int, resampling: Resampling) -> Floats:
     with _open(place) as raster:
         shrink = max(max(raster.shape) / longer, 1.0)
         shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
-        values: Floats = raster.read(1, out_shape=shape, resampling=resampling).astype(np.float32, copy=False)
-        if raster.nodata is not None:
-            values[values == np.float32(raster.nodata)] = np.nan
+        if raster.driver == "VRT" and shrink > 1:
+            return _read_sheets(raster, shape, resampling)
+        return _values(raster, shape, resampling)
+
+
+def _values(raster: Any, shape: tuple[int, ...], resampling: Resampling) -> Floats:
+    values: Floats = raster.read(1, out_shape=shape, resampling=resampling).astype(np.float32, copy=False)
+    if raster.nodata is not None:
+        values[values == np.float32(raster.nodata)] = np.nan
+    return values
+
+
+def _read_sheets(vrt: Any, shape: tuple[int, ...], resampling: Resampling) -> Floats:
+    """The picture of a VRT, from the overviews of its sheets: GDAL would look at all pixels between them."""
+    values = np.full(shape, np.nan, np.float32)
+    down, across = (side / whole for side, whole in zip(shape, vrt.shape, strict=True))
+    for path in vrt.files:
+        if path == vrt.name:
+            continue
+        with rasterio.open(path) as sheet:
+            place, (left, bottom, right, top) = vrt.transform, sheet.bounds
+            rows = [round((y - place.f) / place.e * down) for y in (top, bottom)]
+            cols = [round((x - place.c) / place.a * across) for x in (left, right)]
+            row, col = min(rows[0], shape[0] - 1), min(cols[0], shape[1] - 1)
+            end_row, end_col = max(rows[1], row + 1), max(cols[1], col + 1)
+            found = _values(sheet, (end_row - row, end_col - col), resampling)
+        window = values[row:end_row, col:end_col]
+        found = found[: window.shape[0], : window.shape[1]]
+        window[np.isfinite(found)] = found[np.isfinite(found)]
     return values
 
 
