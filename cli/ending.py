@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -48,7 +49,20 @@ def ended_in_time(own_process: bool) -> Iterator[None]:
             os.close(writing)  # the thread reads the end, and closes the other one
 
 
-def end_children() -> None:
+def end_at_once(code: int) -> NoReturn:
+    """End this process, once all is said, and the children that it was just starting.
+
+    Not by Python's way out: that waits for threads, and where the interruption hit code that was made while it ran, as
+    a dataclass is, it ends with another code.
+    """
+    _end_children()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
+
+
+def _end_children() -> None:
     """Kill the processes that this one started, and theirs."""
     with suppress(psutil.Error):
         for child in psutil.Process().children(recursive=True):
@@ -64,7 +78,7 @@ def _interrupt(number: int, frame: object) -> NoReturn:
 def _watch(reading: int, done: threading.Event) -> None:
     while number := os.read(reading, 1):
         if number[0] in (signal.SIGINT, signal.SIGTERM) and not done.wait(GRACE_SECONDS):
-            end_children()
+            _end_children()
             with suppress(OSError):
                 os.write(2, FORCED)
             os._exit(exit_codes.INTERRUPTED)

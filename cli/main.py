@@ -5,13 +5,14 @@ from __future__ import annotations
 import importlib
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import click
 
 from cli import exit_codes
-from cli.ending import end_children, ended_in_time
+from cli.ending import end_at_once, ended_in_time
 from cli.output import say
 from cli.session import Session
 from cli.streams import open_streams
@@ -95,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:  # while an error was being told
             code = exit_codes.INTERRUPTED
         if own_process and code == exit_codes.INTERRUPTED:
-            end_children()  # those that were just being started
+            end_at_once(code)
         return code
 
 
@@ -117,6 +118,7 @@ def _end(error: BaseException, session: Session) -> int:
         for line in "".join(traceback.format_exception(error)).splitlines():
             say(line, error=True)
     if isinstance(error, KeyboardInterrupt | click.Abort):
+        warnings.simplefilter("ignore")  # of what was left half done
         rest = "; the same command goes on where it was" if session.resumes else ""
         say(f"tiler: interrupted{rest}", error=True)
         return exit_codes.INTERRUPTED

@@ -7,13 +7,15 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.invariants import clouds
-from tests.invariants.runs import do, output_digests
+from tests.invariants.runs import all_digests, do, output_digests, settings
 from tiler.errors import ConfigError, DiskFullError
 from tiler.observe.eventlog import EventLog
+from tiler.pipeline import run
 
 SHARES = (0.02, 0.1, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Of the room that the whole job takes."""
@@ -83,6 +85,48 @@ def test_a_disk_that_fills_up(
     disk.has(64 << 20, again=True)
     assert do(cloud, out).exit_code == 0
     assert output_digests(out) == expected
+
+
+STAGES = (
+    "identify",
+    "spool",
+    "assemble",
+    "filter0",
+    "grid-dtm",
+    "grid-slope",
+    "grid-mask",
+    "export",
+    "mosaic",
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("left", [0, 8192])
+def test_a_disk_that_is_full_when_a_stage_begins(
+    stage: str, left: int, cloud: Path, disk: SmallDisk, tmp_path: Path
+) -> None:
+    """Nothing is left on the disk at that moment, or two pages."""
+    changes = {"products": "dtm,slope,mask", "voids": "fill", "sheets": "64"}
+    whole, out = tmp_path / "whole", disk.folder / "out"
+    do(cloud, whole, **changes)
+    disk.has(256 << 20)
+
+    def fill(event: str, fields: dict[str, Any]) -> None:
+        if event == "stage_started" and fields["stage"] == stage:
+            used = shutil.disk_usage(disk.folder).used
+            disk.has(used + left, again=True)
+
+    with pytest.raises(DiskFullError, match="the disk is full; free some and run again") as caught:
+        run([str(cloud)], out, settings(**changes), fill)
+    assert "\n" not in str(caught.value)
+    assert not [path for path in out.rglob("*.partial*") if "store.zarr" not in path.parts]
+    expected = all_digests(whole)
+    assert all_digests(out).items() <= expected.items()
+    json.loads((out / "run.json").read_text())
+    disk.has(256 << 20, again=True)
+    assert do(cloud, out, **changes).exit_code == 0
+    assert all_digests(out) == expected
 
 
 def test_a_read_only_out_is_one_line(cloud: Path, disk: SmallDisk) -> None:

@@ -47,6 +47,15 @@ def output_digests(out: Path) -> dict[str, str]:
     return {str(f.relative_to(out)): hashlib.blake2b(f.read_bytes()).hexdigest() for f in files}
 
 
+def all_digests(out: Path) -> dict[str, str]:
+    """Digest of every raster, VRT and cloud that a run wrote."""
+    return {
+        str(path.relative_to(out)): hashlib.blake2b(path.read_bytes()).hexdigest()
+        for path in sorted(out.rglob("*"))
+        if path.suffix in (".tif", ".vrt", ".laz") and "store.zarr" not in path.parts
+    }
+
+
 def dtm(out: Path) -> tuple[np.ndarray, Any]:
     """Pixels and transform."""
     with rasterio.open(out / "dtm.tif") as raster:

@@ -7,14 +7,16 @@ import random
 import time
 from collections import Counter
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from ptd.methods import METHODS
 from tests.invariants import clouds
 from tests.invariants.forked import ended, forked
-from tests.invariants.runs import do, output_digests, the_store
+from tests.invariants.runs import all_digests, do, output_digests, the_store
 from tiler.errors import StoreError
 
 METHOD = "auto"
@@ -63,6 +65,56 @@ def peace(tmp_path_factory: pytest.TempPathFactory) -> Peace:
     began = time.monotonic()
     assert ended(forked(do, paths, folder / "out", method=METHOD)) == 0
     return Peace(paths, output_digests(folder / "out"), time.monotonic() - began)
+
+
+MORE: dict[str, Any] = {"products": "dtm,slope,mask", "voids": "fill", "sheets": "64", "method": "classic"}
+"""Settings with which a run has stages of every kind."""
+EVERY = (
+    "identify",
+    "spool",
+    "assemble",
+    "filter0",
+    "grid-dtm",
+    "grid-slope",
+    "grid-mask",
+    "export",
+    "mosaic",
+)
+
+
+@pytest.fixture(scope="module")
+def more(peace: Peace, tmp_path_factory: pytest.TempPathFactory) -> Peace:
+    """The same files with `MORE`."""
+    out = tmp_path_factory.mktemp("more") / "out"
+    began = time.monotonic()
+    assert ended(forked(do, peace.paths, out, **MORE)) == 0
+    return Peace(peace.paths, all_digests(out), time.monotonic() - began)
+
+
+def wait_for_stage(out: Path, stage: str, process: BaseProcess) -> None:
+    """Wait until a stage has begun, or the run has ended."""
+    wanted, log = f'"event": "stage_started", "stage": "{stage}"', out / "events.jsonl"
+    while process.is_alive() and not (log.exists() and wanted in log.read_text()):
+        time.sleep(0.001)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(54))
+def test_killed_in_every_stage(number: int, more: Peace, tmp_path: Path) -> None:
+    """Each stage six times, at another instant after its beginning."""
+    out, stage, rng = tmp_path / "out", EVERY[number % len(EVERY)], random.Random(number)
+    process = forked(do, more.paths, out, **MORE)
+    wait_for_stage(out, stage, process)
+    time.sleep(rng.choice([0.0, 0.002, 0.01, 0.03, 0.1]) * rng.random())
+    process.kill()
+    process.join()
+    for name, digest in all_digests(out).items():
+        assert digest == more.expected[name], name
+    json.loads((out / "run.json").read_text())
+    assert do(more.paths, out, **MORE).exit_code == 0
+    assert all_digests(out) == more.expected
+    assert not [path for path in out.rglob("*.partial*") if "store.zarr" not in path.parts]
+    assert do(more.paths, out, **MORE).did_nothing
 
 
 def kill_and_resume(peace: Peace, out: Path, waits: list[float]) -> None:

@@ -22,7 +22,7 @@ from tiler.errors import ConfigError, InputError
 from tiler.evaluate.heights import files_of_raster
 from tiler.export.geotiff import raster_errors
 from tiler.export.picture import png_bytes
-from tiler.places import partial_path
+from tiler.places import appearing
 from tiler.shown import shown
 from tiler.targets import Target, check_targets
 
@@ -92,9 +92,8 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, An
     with raster_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in drawings.items():
-            partial = partial_path(folder / name)
-            partial.write_text(text, encoding="utf-8")
-            os.replace(partial, folder / name)
+            with appearing(folder / name) as partial:
+                partial.write_text(text, encoding="utf-8")
     return [str(folder / name) for name in drawings]
 
 

@@ -17,7 +17,7 @@ from tiler.core.raster import RasterSpec
 from tiler.errors import ProcessingError
 from tiler.export.cog import raster_look
 from tiler.export.geotiff import TILE, RasterLook, raster_errors
-from tiler.places import cloud_path, digest_of_file, folder_for, joined, partial_path, state_of
+from tiler.places import appearing, cloud_path, digest_of_file, folder_for, joined, state_of
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
@@ -54,13 +54,10 @@ def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ElementTree.indent(root)
     with folder_for(args["out"]) as folder:
         target = folder / f"{args['product']}.vrt"
-        partial = partial_path(target)
-        with raster_errors(target):
-            with open(partial, "wb") as stream:
-                ElementTree.ElementTree(root).write(stream, encoding="utf-8")
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(partial, target)
+        with raster_errors(target), appearing(target) as partial, open(partial, "wb") as stream:
+            ElementTree.ElementTree(root).write(stream, encoding="utf-8")
+            stream.flush()
+            os.fsync(stream.fileno())
         record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
     return {**record, "state": state_of(cloud_path(joined(args["out"], target.name))).to_json()}
 

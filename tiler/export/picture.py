@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +12,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from tiler.export.geotiff import raster_errors
-from tiler.places import partial_path
+from tiler.places import appearing
 
 
 def png_bytes(rgba: npt.NDArray[np.uint8]) -> bytes:
@@ -49,7 +48,5 @@ def _encoded(bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int,
 
 def write_png(path: Path, rgba: npt.NDArray[np.uint8]) -> None:
     """Write a picture as `png_bytes` makes it; it appears when it is whole. Raises ProcessingError."""
-    partial = partial_path(path)
-    with raster_errors(path):
+    with raster_errors(path), appearing(path) as partial:
         partial.write_bytes(png_bytes(rgba))
-        os.replace(partial, path)

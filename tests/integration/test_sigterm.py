@@ -1,0 +1,125 @@
+"""SIGTERM at any moment of any command: it ends within seconds, its children too, and nothing that was done is lost."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+import pytest
+
+from cli.main import COMMANDS
+from tests.integration.command import TIMEOUT_SECONDS, command, environment, tiler
+from tests.invariants import clouds
+from tests.invariants.runs import output_digests
+
+pytestmark = pytest.mark.slow
+
+END_SECONDS = 5.0
+INSTANTS = 5
+OPTIONS = ("--method", "classic", "--workers", "2", "--resolution", "1", "--tile-size", "64", "--halo", "80")
+JOBS = ("run", "ingest", "filter", "grid", "export")
+ENDED_ITSELF = (0, 2, 3, 5)
+
+
+@dataclass
+class Figures:
+    """Of the interruptions of one command: seconds until it had ended, and how often with which code."""
+
+    seconds: list[float] = field(default_factory=list)
+    codes: Counter[int] = field(default_factory=Counter)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cloud of a second or two, checkpoints, and a finished run, for commands that look at one."""
+    folder = tmp_path_factory.mktemp("sigterm")
+    clouds.write(folder / "town.laz", clouds.city(192.0, 2.0))
+    lines = [f"{500_000 + 5 * i},{5_400_000 + 5 * i},100" for i in range(1, 30)]
+    (folder / "points.csv").write_text("x,y,z\n" + "\n".join(lines))
+    assert tiler("run", folder / "town.laz", "-o", folder / "done", *OPTIONS).returncode == 0
+    return folder
+
+
+def arguments(name: str, folder: Path, out: Path) -> list[str]:
+    """A call that works for a while."""
+    town, done = str(folder / "town.laz"), folder / "done"
+    return {
+        **{job: [job, town, "-o", str(out), *OPTIONS] for job in JOBS},
+        "plan": ["plan", town, *OPTIONS],
+        "classify": ["classify", town, str(out / "classified.laz"), "--method", "classic"],
+        "preview": ["preview", town, "-o", str(out / "preview.png"), "--method", "classic"],
+        "info": ["info", town],
+        "methods": ["methods"],
+        "evaluate": ["evaluate", town, "--method", "classic", "--maps", str(out / "maps")],
+        "check": ["check", str(done / "dtm.tif"), "--points", str(folder / "points.csv"), "--tile-size", "64",
+                  "--figures", str(out / "figures"), "--strips", str(done / "classified" / "town.laz")],
+        "report": ["report", str(done)],
+        "clean": ["clean", str(done)],
+        "simulate": ["simulate", str(out / "scene.laz"), "--size", "300"],
+        "config": ["config", "--template"],
+        "demo": ["demo", "-o", str(out), "--method", "classic", "--workers", "2"],
+    }[name]  # fmt: skip
+
+
+def interrupted(call: list[str], after: float, figures: Figures, **variables: str) -> None:
+    """Start a command, send SIGTERM after some seconds, and see what becomes of it."""
+    process = subprocess.Popen(
+        command(*call), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env={**environment(), **variables}
+    )  # fmt: skip
+    time.sleep(after)
+    children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+    began = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    _, error = process.communicate(timeout=60)
+    seconds = time.monotonic() - began
+    _, alive = psutil.wait_procs(children, timeout=1.0)
+    assert not alive
+    assert seconds < END_SECONDS
+    # Before the command has begun, and after it is done, the signal ends Python itself.
+    assert process.returncode in (130, -signal.SIGTERM, *ENDED_ITSELF), error
+    if process.returncode == 130:
+        assert error.splitlines()[-1].startswith("tiler: interrupted")
+        assert "Traceback" not in error
+    figures.seconds.append(seconds)
+    figures.codes[process.returncode] += 1
+
+
+def tell(name: str, figures: Figures) -> None:
+    codes = ", ".join(f"{code}: {n}" for code, n in sorted(figures.codes.items()))
+    print(f"\nSIGTERM in {name}: ended after {max(figures.seconds):.2f} s at most ({codes})")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_in_every_command(name: str, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "whole").mkdir()
+    began = time.monotonic()
+    call = arguments(name, folder, tmp_path / "whole")
+    whole = subprocess.run(
+        command(*call), capture_output=True, env=environment(), timeout=TIMEOUT_SECONDS, check=False
+    )
+    assert whole.returncode == 0, whole.stderr
+    length, rng, figures = time.monotonic() - began, random.Random(name), Figures()
+    for number in range(INSTANTS):
+        out = tmp_path / str(number)
+        out.mkdir()
+        interrupted(arguments(name, folder, out), length * (number + rng.random()) / INSTANTS, figures)
+        if name == "run":
+            assert tiler(*arguments(name, folder, out)).returncode == 0
+            assert output_digests(out) == output_digests(folder / "done")
+    tell(name, figures)
+
+
+def test_while_kernels_compile(folder: Path, tmp_path: Path) -> None:
+    """Which takes a minute, most of it in a library."""
+    figures = Figures()
+    for number, after in enumerate((3.0, 6.0, 11.0, 19.0)):
+        call = arguments("run", folder, tmp_path / str(number))
+        interrupted(call, after, figures, NUMBA_CACHE_DIR=str(tmp_path / f"cache{number}"))
+    assert figures.codes == {130: 4}
+    tell("run, kernels compiling", figures)
