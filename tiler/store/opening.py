@@ -86,7 +86,8 @@ def _is_a_store(storage: Storage) -> bool:
         raise ForeignStoreError(f"{url}: is a file, not a tile store; give another place")
     data = storage.get("zarr.json")
     if data is None:
-        others = [name for name in storage.names("") if not layout.is_ours(name)]
+        # What is called zarr.json and cannot be read is a folder or leads to one.
+        others = [name for name in storage.names("") if name == "zarr.json" or not layout.is_ours(name)]
         others += [layout.LOCK_KEY] if lock.is_foreign(storage) else []
         if others:
             raise ForeignStoreError(

@@ -250,7 +250,7 @@ def test_a_store_that_is_a_link_works(tmp_path: Path, meta: StoreMeta) -> None:
     assert (disk / "zarr.json").exists()
 
 
-@pytest.mark.parametrize("name", ["lock.json", "points/a.laz", "zarr.json"])
+@pytest.mark.parametrize("name", ["lock.json", "points/a.laz", "zarr.json", "zarr.json/a.laz"])
 def test_a_place_that_only_looks_like_a_stores_is_not_held(name: str, tmp_path: Path) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text('{"attributes": {"text": "tiler_store"}}')
