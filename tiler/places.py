@@ -13,7 +13,7 @@ from glob import has_magic
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, cast
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 from tiler.errors import ConfigError, refused_write
 
@@ -36,6 +36,10 @@ def cloud_path(text: str | Path) -> Path:
         return Path(text)
     refuse_unescaped(str(text))
     try:
+        if _of_server(str(text)):
+            from tiler.hosts import server_path
+
+            return cast(Path, server_path(str(text), **_login(str(text))))
         from upath import UPath
 
         return cast(Path, UPath(str(text)))
@@ -43,6 +47,29 @@ def cloud_path(text: str | Path) -> Path:
         raise ConfigError(
             f"{text}: cannot be read ({error}); copy it here, or install 'tiler-dtm[cloud]'"
         ) from error
+
+
+def _of_server(url: str) -> bool:
+    """Whether what a URL names is reached by a host and a user: see `tiler.hosts`."""
+    return url.startswith(("ftp://", "sftp://", "ssh://", "smb://"))
+
+
+def _login(url: str) -> dict[str, str]:
+    """User and password of a URL of a server, as they are: fsspec hands them on with their escapes."""
+    parts = urlsplit(url)
+    named = {"username": parts.username, "password": parts.password}
+    return {name: unquote(value) for name, value in named.items() if value}
+
+
+def _system(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the place in it."""
+    from fsspec.core import url_to_fs
+
+    if _of_server(url):
+        path = cast(Any, cloud_path(url))
+        return path.fs, path.path
+    found: tuple[Any, str] = url_to_fs(url)
+    return found
 
 
 def location(path: Path) -> str:
@@ -153,6 +180,8 @@ def state_of(path: Path) -> State:
         place.fs.invalidate_cache(place.fs._parent(place.path))
         found = place.stat()
         info = found.as_info()
+        if info.get("size") is None:
+            raise OSError("its server does not tell its size; download it")
         tag = next((str(info[name]) for name in TAGS if info.get(name)), "").removeprefix("W/").strip('"')
         return State(int(found.st_size), int(found.st_mtime_ns), tag)
 
@@ -161,10 +190,15 @@ def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES) -> BinaryIO:
     """Open for reading, anywhere in it, in pieces of ``block_bytes`` where it is a URL; raises OSError."""
     if not is_url(path):
         return open(path, "rb")
+    from fsspec.caching import BlockCache
+    from fsspec.spec import AbstractBufferedFile
+
     with storage_errors():
-        # A decoder jumps between the points, their table at the end and the header: each block is asked for once.
-        options = {"cache_type": "blockcache", "cache_options": {"maxblocks": KEPT_BLOCKS}}
-        opened = cast(Any, path).open("rb", block_size=block_bytes, **options)
+        opened = cast(Any, path).open("rb", block_size=block_bytes)
+        if isinstance(opened, AbstractBufferedFile):
+            # A decoder jumps between the points, their table at the end and the header: each block is asked for once.
+            # Not by options of `open`: not all file systems take them.
+            opened.cache = BlockCache(block_bytes, opened._fetch_range, opened.size, KEPT_BLOCKS)
         return cast(BinaryIO, _Guarded(opened))
 
 
@@ -214,7 +248,12 @@ class _Guarded(io.RawIOBase):
     def readinto(self, target: Any) -> int:
         with storage_errors():
             self.shared.seek(self._place)
-            data = self.shared.read(len(target))
+            try:
+                data = self.shared.read(len(target))
+            except ValueError as error:
+                if "http" not in self.shared.fs.protocol:
+                    raise
+                raise OSError("its server gives no parts of files, no range requests; download it") from error
         target[: len(data)] = data
         self._place += len(data)
         return len(data)
@@ -228,19 +267,43 @@ def list_clouds(url: str, suffixes: tuple[str, ...]) -> list[Path]:
     ConfigError
         There is nothing, or it cannot be listed.
     """
-    from fsspec.core import url_to_fs
-
     cloud_path(url)  # says which library lacks
+    path = url.partition("?")[0] if url.startswith("http") else url
     try:
         with storage_errors():
-            system, place = url_to_fs(url)
+            system, place = _system(url)
+            if path.lower().endswith(suffixes) and not has_magic(path) and _is_object(system, place):
+                return [cloud_path(url)]  # not listed: of some servers that would be to read all of it
             found = system.glob(place) if has_magic(place) else system.find(place)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{url}: cannot be listed ({error}); see to the URL and its credentials") from error
     if not found:
         raise ConfigError(f"{url}: nothing there; name LAS or LAZ objects, folders or globs")
-    names = found if found == [place] else [n for n in found if n.lower().endswith(suffixes)]
-    return [cloud_path(system.unstrip_protocol(name)) for name in sorted(names)]
+    if found == [place]:
+        return [cloud_path(url)]
+    names = sorted(name for name in found if name.lower().endswith(suffixes))
+    return [cloud_path(_url_of(name, url, place) or system.unstrip_protocol(name)) for name in names]
+
+
+def _is_object(system: Any, place: str) -> bool:
+    try:
+        return bool(system.info(place)["type"] != "directory")
+    except FileNotFoundError:
+        return False
+
+
+def _url_of(name: str, url: str, place: str) -> str | None:
+    """The URL of what was found at another one, which begins as that does: file systems leave out host and user.
+
+    None where the URL does not end with the place that was looked at.
+    """
+    head, chain, rest = (
+        url.partition("::") if not url.rstrip("/").endswith(place.rstrip("/")) else (url, "", "")
+    )
+    head, place = head.rstrip("/"), place.rstrip("/")
+    if not head.endswith(place):
+        return None
+    return f"{head.removesuffix(place)}{name}{chain}{rest}"
 
 
 def joined(place: str, *names: str) -> str:
@@ -253,10 +316,8 @@ def names_in(place: str) -> list[str]:
     try:
         if not is_url(place):
             return sorted(os.listdir(place))
-        from fsspec.core import url_to_fs
-
         with storage_errors():
-            system, path = url_to_fs(place)
+            system, path = _system(place)
             return sorted(name.rstrip("/").rpartition("/")[2] for name in system.ls(path, detail=False))
     except (FileNotFoundError, NotADirectoryError):
         return []
@@ -298,20 +359,16 @@ def move_file(place: str, target: str) -> None:
         Path(target).parent.mkdir(parents=True, exist_ok=True)
         os.replace(place, target)
         return
-    from fsspec.core import url_to_fs
-
     with storage_errors():
-        system, path = url_to_fs(place)
-        system.mv(path, url_to_fs(target)[1])
+        system, path = _system(place)
+        system.mv(path, _system(target)[1])
 
 
 def put_file(path: Path, url: str) -> None:
     """Copy a file to a URL, where it appears when it is whole; raises ProcessingError."""
-    from fsspec.core import url_to_fs
-
     try:
         with storage_errors():
-            system, place = url_to_fs(url)
+            system, place = _system(url)
             system.put_file(str(path), place)
     except OSError as error:
         raise refused_write(url, error) from error
@@ -331,9 +388,7 @@ def folder_for(place: str) -> Iterator[Path]:
 
 def try_write(url: str) -> None:
     """Write an object and remove it again; raises OSError where that fails."""
-    from fsspec.core import url_to_fs
-
     with storage_errors():
-        system, place = url_to_fs(url)
+        system, place = _system(url)
         system.pipe_file(place, b"tiler")
         system.rm_file(place)

@@ -1,0 +1,127 @@
+"""Clouds by http:// and ftp://: single objects, folders and globs are read as files are, and changes are noticed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import laspy
+import pytest
+
+pytest.importorskip("upath", reason="no URLs: universal-pathlib is not installed")
+pytest.importorskip("aiohttp", reason="no http: aiohttp is not installed")
+
+from tests.invariants import clouds
+from tests.invariants.runs import dtm, settings
+from tests.tiler.servers import ftp_server, http_server
+from tiler import tasks
+from tiler.errors import ConfigError, InputError
+from tiler.ingest import inspect, spool_piece
+from tiler.pipeline import RunResult, run
+from tiler.places import cloud_path, list_clouds, location, state_of
+
+SUFFIXES = (".las", ".laz")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two neighbouring clouds of more than a block each; one holds what looks like a link."""
+    folder = tmp_path_factory.mktemp("served")
+    cloud = clouds.city(160.0)
+    (folder / "a").mkdir()
+    for name, side in (("west.las", cloud.xyz[:, 0] < 80), ("east.laz", cloud.xyz[:, 0] >= 80)):
+        las = laspy.read(clouds.write(folder / "a" / name, cloud.take(side)))
+        las.header.generating_software = "see http://127.0.0.1/x"
+        las.write(folder / "a" / name)
+    (folder / "a" / "readme.txt").write_text("no cloud")
+    assert (folder / "a" / "west.las").stat().st_size > 1 << 18
+    return folder
+
+
+@pytest.fixture(scope="module")
+def servers(folder: Path) -> Iterator[dict[str, str]]:
+    with ExitStack() as stack:
+        yield {
+            "http": stack.enter_context(http_server(folder)),
+            "ftp": stack.enter_context(ftp_server(folder)),
+        }
+
+
+def names(url: str) -> list[str]:
+    """What is found, as it is named to workers."""
+    return [location(path) for path in list_clouds(url, SUFFIXES)]
+
+
+@pytest.mark.parametrize("protocol", ["http", "ftp"])
+def test_what_is_found_is_named_by_its_whole_url(
+    protocol: str, servers: dict[str, str], folder: Path
+) -> None:
+    server = servers[protocol]
+    both = [f"{server}/a/east.laz", f"{server}/a/west.las"]
+    assert names(f"{server}/a") == names(f"{server}/a/") == names(f"{server}/a/*.la*") == both
+    assert names(f"{server}/a/*.laz") == both[:1]
+    for url in both:
+        assert names(url) == [url]
+        assert state_of(cloud_path(url)).size == (folder / "a" / url.rpartition("/")[2]).stat().st_size
+        assert inspect(cloud_path(url)).points > 1000
+    with pytest.raises(ConfigError, match=r"no\.laz: nothing there"):
+        names(f"{server}/a/no.laz")
+
+
+def test_a_token_stays_with_its_object(servers: dict[str, str]) -> None:
+    url = f"{servers['http']}/a/east.laz?token=abc"
+    assert names(url) == [url]
+    assert inspect(cloud_path(url)).points > 1000
+
+
+def test_a_wrong_password_is_told(servers: dict[str, str]) -> None:
+    with pytest.raises(ConfigError, match="cannot be listed .*530 not you"):
+        names(servers["ftp"].replace("%401@", "@") + "/a/east.laz")
+
+
+def do(inputs: list[str], out: Path) -> RunResult:
+    return run(inputs, out, settings())
+
+
+def test_a_run_on_urls_is_a_run_on_files(servers: dict[str, str], folder: Path, tmp_path: Path) -> None:
+    do([str(folder / "a")], tmp_path / "files")
+    result = do([f"{servers['http']}/a/west.las", f"{servers['ftp']}/a/east.laz"], tmp_path / "urls")
+    assert result.exit_code == 0
+    assert (dtm(tmp_path / "urls")[0] == dtm(tmp_path / "files")[0]).all()
+    for name in ("west.laz", "east.laz"):
+        assert (tmp_path / "urls" / "classified" / name).read_bytes() == (
+            tmp_path / "files" / "classified" / name
+        ).read_bytes()
+    assert do(
+        [f"{servers['http']}/a/west.las", f"{servers['ftp']}/a/east.laz"], tmp_path / "urls"
+    ).did_nothing
+
+
+def test_an_object_that_is_replaced_is_left_out(
+    servers: dict[str, str], folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the same size, in another order: the tag tells."""
+    cloud = clouds.city(60.0)
+    path = clouds.write(folder / "b" / "c.las", cloud)
+    back = clouds.write(tmp_path / "back.las", clouds.Cloud(cloud.xyz[::-1], cloud.truth[::-1]))
+
+    def changed(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        os.replace(back, path)
+        return spool_piece(store_url, arguments)
+
+    monkeypatch.setattr(tasks, "spool_piece", changed)
+    with pytest.raises(InputError, match="c.las: left out: was replaced or written to while the run went on"):
+        do([f"{servers['http']}/b/c.las"], tmp_path / "out")
+
+
+def test_a_server_that_gives_no_parts_is_told_of(tmp_path: Path) -> None:
+    clouds.write(tmp_path / "west.las", clouds.city(160.0, 2.0))
+    with http_server(tmp_path, parts=False) as server:
+        url = f"{server}/west.las"
+        with pytest.raises(
+            InputError, match=r"west\.las: .*its server gives no parts of files, no range requests"
+        ):
+            inspect(cloud_path(url))
