@@ -13,7 +13,7 @@ from ptd.cells import lowest_per_cell
 from ptd.frame import Cells, Scale, Window
 from ptd.methods import METHODS
 from ptd.params import to_json
-from ptd.passes import KINDS, Int32, Model, Pass, Points, RunFacts, UInt8
+from ptd.passes import KINDS, Int32, Model, Pass, Points, RunFacts, UInt8, later_passes
 
 COUNTS_PER_METRE = 1000
 LARGEST_EXTENT_M = 60_000.0
@@ -112,14 +112,14 @@ def do_passes(
         cell = Cells.of(params.candidate_cell_m, scale)
         cloud.index = lowest_per_cell(counts[0], counts[1], counts[2], cell)
         cloud.some = cloud.everything.take(cloud.index)
-    for number, step in enumerate(params.passes, start=1):
+    for number, step in enumerate(params.passes):
         if not step.applies(state):
             continue
         model = step.fit(_given(cloud.seen(step), step), window, window, scale, state)
         if step.elects:
             cloud.elect(model.elect(window))
         if step.gives_labels:
-            cloud.label(step, model, [other for other in params.passes[number:] if other.applies(state)])
+            cloud.label(step, model, later_passes(params.passes, number, state))
         stats[step.name] = model.stats
         state = step.reduce([model.partial()], state)
     return cloud.everything.known_labels(), state, stats

@@ -9,8 +9,8 @@ scheduling and of resume.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -101,6 +101,16 @@ class Points:
             return None if column is None else np.ascontiguousarray(column[..., index])
 
         return Points(taken(self.xyz), taken(self.labels), taken(self.rgb), taken(self.returns))
+
+
+def joined(parts: Sequence[Points]) -> Points:
+    """Points (at least one part) one after the other, with the columns that all parts have."""
+
+    def column(name: str) -> Any:
+        columns = [getattr(part, name) for part in parts]
+        return None if any(c is None for c in columns) else np.concatenate(columns, axis=-1)
+
+    return Points(*(column(f.name) for f in fields(Points)))
 
 
 class Model(ABC):
@@ -225,6 +235,11 @@ class Pass(ABC):
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """The state after the pass; must not depend on the order of the partials. `MethodRefusal` ends the run."""
         return dict(state)
+
+
+def later_passes(passes: Sequence[Pass], number: int, state: State) -> list[Pass]:
+    """The passes after that of a number that apply, as far as the state before it tells."""
+    return [step for step in passes[number + 1 :] if step.applies(state)]
 
 
 @dataclass(frozen=True)

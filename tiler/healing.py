@@ -29,10 +29,10 @@ def heal(job: Job, keys: Iterable[str]) -> None:
             job.store.forget(f"rasters/{name}")
         elif kind == "rasters":
             _take_back_block(job, name, int(rest[1]), int(rest[2]))
-        elif kind == "labels" and whole:
+        elif kind in ("labels", "elected") and whole:
             _clear_filters(job)
-            job.store.forget(f"labels/{name}")
-        elif kind in ("labels", "points") and not whole:
+            job.store.forget(f"{kind}/{name}")
+        elif kind in ("labels", "elected", "points") and not whole:
             _take_back_bucket(job, kind, int(rest[1]))
         else:  # the columns as a whole, or the index that knows which rows are whose
             _clear_filters(job)
@@ -40,6 +40,7 @@ def heal(job: Job, keys: Iterable[str]) -> None:
             job.store.forget("index")
             job.store.forget("points")
             job.store.forget("labels")
+            job.store.forget("elected")
     job.facts["healed"] = sorted({*job.facts.get("healed", ()), *keys})
 
 
@@ -53,7 +54,7 @@ def _clear_filters(job: Job) -> None:
 
 
 def _take_back_bucket(job: Job, kind: str, row: int) -> None:
-    """The tasks that wrote the points, or the labels, of the bucket that owns a row of the columns."""
+    """The tasks that wrote the points, labels or elected points of the bucket that owns a row of the columns."""
     cell = job.store.owner_of(row)
     if cell is None:
         return

@@ -204,10 +204,8 @@ def describe_store(url: str) -> dict[str, Any]:
 def _commits(store: TileStore) -> dict[str, Any]:
     """Stage -> its commits, in the order of a run; the filter has one stage a pass."""
     found = {stage: store.committed(stage) for stage in ("spool", "assemble")}
-    number = 0
-    while passed := store.committed(f"filter{number}"):
-        found[f"filter{number}"] = passed
-        number += 1
+    for number in range(store.get_state("passes") or 0):  # of some passes there are none: they did not apply
+        found[f"filter{number}"] = store.committed(f"filter{number}")
     return found | {stage: store.committed(stage) for stage in ("grid-dtm", "export")}
 
 

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from ptd.methods import METHODS
-from ptd.passes import MethodRefusal, Pass, RunFacts, State
+from ptd.passes import MethodRefusal, Pass, RunFacts, State, later_passes
 from ptd.warm import warm_filters
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError
 from tiler.job import Job
 from tiler.plan import KEEP
 from tiler.schedule import Task
-from tiler.tasks import Assembled, filter_tasks, label_digests
+from tiler.tasks import Assembled, Before, filter_tasks
 
 
 def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
@@ -33,25 +33,55 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
     sigma = None if config.sigma is None else float(config.sigma)
     facts = RunFacts(job.plan.meta.has_rgb, sigma, config.source_kind)
     state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
-    labels = assembled.digests
+    before = Before(assembled.digests)
     warm = functools.partial(warm_filters, config.method)
     job.facts["statistics"] = {}
+    writes, last = False, ""
     for number, step in enumerate(passes):
-        tasks = list(filter_tasks(job.plan, assembled, number, state, labels))
+        if not step.applies(state):
+            continue
+        if last:
+            raise ValueError(
+                f"method {config.method}: {step.name} applies after {last}, which was to be the last"
+            )
+        if (step.elects or step.gives_labels) and not writes:
+            writes = True
+            _clear_passed_over(job, passes, state)
+        tasks = list(filter_tasks(job.plan, assembled, number, state, before))
         filtered = job.perform(f"filter{number}", tasks, warm)
         if not filtered:
             raise ProcessingError(f"no tile could be filtered; the first: {job.failed[0]['error']}")
-        partials = (record["partial"] for _, record in filtered.values())
-        state = _reduced(job, step, partials, state) if known is None else known[step.name]
-        job.store.put_state(f"after-{step.name}", state)
-        job.facts["statistics"][step.name] = state
-        if step.gives_labels:
-            job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
+        if step.elects or step.gives_labels:
+            is_last = step.gives_labels and not later_passes(passes, number, state)
             for task in tasks:
                 if task.key not in filtered:
-                    _keep_classes(job, task)
-            labels = label_digests(assembled, filtered)
-    return labels
+                    _leave_out(job, task, before)
+            before = before.after(number, step, is_last, assembled, filtered)
+            last = step.name if is_last else ""
+        if step.gives_labels:
+            job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
+        partials = (record["partial"] for _, record in filtered.values())
+        state = _reduced(job, step, partials, state) if known is None else _known(job, step)
+        job.store.put_state(f"after-{step.name}", state)
+        job.facts["statistics"][step.name] = state
+    return dict(before.digests)
+
+
+def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
+    """Take back what an earlier run did of passes that do not apply now: what they wrote may be overwritten."""
+    for number, step in enumerate(passes):
+        if not step.applies(state):
+            job.store.clear(f"filter{number}")
+
+
+def _known(job: Job, step: Pass) -> dict[str, Any]:
+    """The state after a pass of the run that ``--statistics`` names."""
+    found: dict[str, Any] | None = (job.plan.statistics or {}).get(step.name)
+    if found is None:
+        raise ConfigError(
+            f"--statistics {job.plan.config.statistics}: that run did not do the pass {step.name}; use the same --kind"
+        )
+    return found
 
 
 def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
@@ -65,12 +95,18 @@ def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: St
     return found
 
 
-def _keep_classes(job: Job, task: Task) -> None:
-    """The points of a tile that failed have no label: not that of an earlier run, either."""
+def _leave_out(job: Job, task: Task, before: Before) -> None:
+    """The points of a tile that failed have no label, and elect none: nothing of an earlier run, either."""
     cells = [Cell(*indices) for indices in task.arguments["cells"]]
     buckets = job.store.buckets_within(job.plan.meta.bucket.hull(cells))
     for cell in cells:
-        job.store.write_labels(task.arguments["labels_out"], cell, np.zeros(buckets[cell].n, np.uint8))
+        if task.arguments["elected_out"] is not None:
+            job.store.write_elected(task.arguments["elected_out"], cell, np.zeros((3, 0), np.int32))
+        elif task.arguments["of_elected"]:
+            labels = np.zeros(before.n_elected[cell], np.uint8)
+            job.store.write_elected_labels(task.arguments["labels_out"], cell, labels)
+        else:
+            job.store.write_labels(task.arguments["labels_out"], cell, np.zeros(buckets[cell].n, np.uint8))
 
 
 def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:

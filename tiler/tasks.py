@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, reduce
 from typing import Any
 
 from ptd.methods import METHODS
+from ptd.passes import Pass, later_passes
 from tiler import __version__
 from tiler.core.classes import OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
@@ -33,6 +34,7 @@ from tiler.ingest import (
 )
 from tiler.places import joined, location
 from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
+from tiler.plan.memory import held_bytes
 from tiler.schedule import Task, digest_of
 from tiler.store import Commits
 from tiler.tiles import tiles_of
@@ -194,37 +196,107 @@ class Assembled:
         return reduce(Bounds.union, found)
 
 
+@dataclass(frozen=True)
+class Before:
+    """What the passes before left for the next one: names in the store, and by bucket digests of what they name.
+
+    Attributes
+    ----------
+    labels, elected, elected_labels : str or None
+        Of the last labels of points, of the points that were elected, and of these points' last labels.
+    digests, elected_digests : mapping of Cell to str
+        Of the contents of a bucket with the labels of its points, and with what was elected there, labels and all.
+    n_elected : mapping of Cell to int
+        Elected points of a bucket; none where the tile failed.
+    """
+
+    digests: Mapping[Cell, str]
+    labels: str | None = None
+    elected: str | None = None
+    elected_labels: str | None = None
+    elected_digests: Mapping[Cell, str] = field(default_factory=dict)
+    n_elected: Mapping[Cell, int] = field(default_factory=dict)
+
+    def after(self, number: int, step: Pass, last: bool, assembled: Assembled, done: Commits) -> Before:
+        """What there is after a pass that was done, and that elects or gives labels; ``last``: of all points."""
+        if step.elects:
+            counts = dict.fromkeys(assembled.records, 0)
+            for _, record in done.values():
+                cells = (Cell(*cell) for cell in record["cells"])
+                counts |= dict(zip(cells, record["elected_points"], strict=True))
+            digests = label_digests(assembled, done, "elected")
+            return replace(
+                self,
+                elected=elected_name(number),
+                elected_labels=None,
+                elected_digests=digests,
+                n_elected=counts,
+            )
+        digests = label_digests(assembled, done)
+        if step.elected and not last:
+            both = {cell: digest_of(digest, self.elected_digests[cell]) for cell, digest in digests.items()}
+            return replace(self, elected_labels=labels_name(number), elected_digests=both)
+        return replace(self, labels=labels_name(number), digests=digests)
+
+
+def labels_name(number: int) -> str:
+    """Name in the store of the labels of a pass that is not the last one."""
+    return f"{LABELS}-{number}"
+
+
+def elected_name(number: int) -> str:
+    """Name in the store of the points that a pass elects."""
+    return f"elected-{number}"
+
+
 def filter_tasks(
-    plan: Plan, assembled: Assembled, number: int, state: Mapping[str, Any], before: Mapping[Cell, str]
+    plan: Plan, assembled: Assembled, number: int, state: Mapping[str, Any], before: Before
 ) -> Iterator[Task]:
-    """One for each tile of a pass; ``before``: bucket -> digest of its contents and its labels so far."""
+    """One for each tile of a pass."""
     frame = plan.meta.frame
     params = METHODS[plan.config.method].params(**plan.parameters)
-    earlier = [i for i in range(number) if params.passes[i].gives_labels]
-    step, last = params.passes[number], number == len(params.passes) - 1
+    step = params.passes[number]
+    last = step.gives_labels and not later_passes(params.passes, number, state)
+    if step.elected and before.elected is None:
+        raise ValueError(f"pass {step.name} works on elected points, and no pass before it elected any")
     beyond = math.ceil(frame.counts(Fraction(sight_m(step, params))))
+    margin = math.ceil(frame.counts(Fraction(repr(float(step.label_margin_m)))))
     reads = "labels" in step.columns
-    for tile in tiles_of(plan, assembled.records, plan.passes[number]):
+    records: Mapping[Cell, Mapping[str, Any]] = assembled.records
+    if step.elected:
+        records = {cell: {**record, "n_elected": before.n_elected[cell]} for cell, record in records.items()}
+    for tile in tiles_of(plan, records, plan.passes[number]):
         arguments = {
             "method": plan.config.method, "parameters": plan.parameters, "pass": number, "state": dict(state),
             "cells": [[c.ix, c.iy] for c in tile.cells], "halo": tile.halo, "max_halo": tile.max_halo,
             "keep_classes": list(plan.config.keep_classes), "skip_flags": skip_flags(plan),
-            "labels_in": f"{LABELS}-{earlier[-1]}" if earlier and reads else None,
-            "labels_out": LABELS if last else f"{LABELS}-{number}",
+            "labels_in": before.labels if reads else None,
+            "labels_out": LABELS if last else labels_name(number),
+            "elected_in": before.elected if step.elected else None,
+            "elected_labels_in": before.elected_labels if step.elected and reads else None,
+            "elected_out": elected_name(number) if step.elects else None,
+            "of_elected": step.elected and not last,
         }  # fmt: skip
-        sight = plan.meta.bucket.hull(tile.cells).pad(tile.max_halo + beyond)
-        digests = before if reads else assembled.digests
-        seen = [[c.ix, c.iy, digests[c]] for c in plan.meta.bucket.among(sight, digests)]
+        sight = plan.meta.bucket.hull(tile.cells).pad(max(tile.max_halo + beyond, margin))
+        digests = before.digests if reads else assembled.digests
+        near = plan.meta.bucket.among(sight, digests)
+        seen = [[c.ix, c.iy, digests[c]] for c in near]
+        made = [before.elected_digests[c] for c in near] if step.elected else []
         points = sum(assembled.records[c]["n"] for c in tile.cells)
-        digest = digest_of(__version__, arguments, seen)
+        digest = digest_of(__version__, arguments, seen, made)
+        # How much is kept for neighbours changes nothing: it is no part of the digest.
+        arguments["held_bytes"] = held_bytes(plan.memory)
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, arguments, points)
 
 
-def label_digests(assembled: Assembled, filtered: Commits) -> dict[Cell, str]:
-    """Bucket -> digest of its contents and of the labels that a pass gave it; of a tile that failed it gave none."""
+def label_digests(assembled: Assembled, filtered: Commits, what: str = "labels") -> dict[Cell, str]:
+    """Bucket -> digest of its contents and of the labels that a pass gave it; of a tile that failed it gave none.
+
+    ``what``: the entry of the record, ``labels`` or ``elected``.
+    """
     labels = dict.fromkeys(assembled.records, "none")
     for _, record in filtered.values():
-        labels |= {Cell(*cell): record["labels"] for cell in record["cells"]}
+        labels |= {Cell(*cell): record[what] for cell in record["cells"]}
     return {cell: digest_of(given, assembled.digests[cell]) for cell, given in labels.items()}
 
 

@@ -15,11 +15,11 @@ from typing import Any
 
 from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
-from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, nested
+from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes, nested
 from tiler.plan.model import MAX_HALO_FACTOR
 
 Records = Mapping[Cell, Mapping[str, Any]]
-"""Bucket -> what its assembly recorded: ``n`` points, ``n_candidates`` of them."""
+"""Bucket -> what its assembly recorded: ``n`` points, ``n_candidates`` of them; ``n_elected``, once there are some."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,14 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
     """Peak bytes of a worker that does a tile with that halo: the points of its window are known."""
     lattice = plan.meta.bucket
     column = "n_candidates" if not step.every_point and nested(plan.candidate_cell_m) else "n"
+    if step.elected:
+        column = "n_elected"
     window = lattice.hull(cells).pad(halo)
     held = [records[cell][column] for cell in lattice.among(window, records)]
     area = len(held) * plan.bucket_m**2
-    bucket = max(records[cell]["n"] for cell in cells)
-    return int(BASE_BYTES + filter_bytes(sum(held), area, plan.candidate_cell_m, step) + bucket_bytes(bucket))
+    bucket, kept = max(records[cell]["n"] for cell in cells), 0
+    if step.margin_m:
+        bucket *= (1 + 2 * step.margin_m / plan.bucket_m) ** 2
+        kept = held_bytes(plan.tile_memory)
+    thinned = 0.0 if step.elected else plan.candidate_cell_m  # the number of elected points is known
+    return int(BASE_BYTES + filter_bytes(sum(held), area, thinned, step) + bucket_bytes(bucket) + kept)

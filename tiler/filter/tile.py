@@ -1,11 +1,10 @@
-"""A tile of a pass: read core and halo, fit the model, label the core; the last pass writes the labels."""
+"""A tile of a pass: read core and halo, fit the model, label the core or elect points in it."""
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -15,10 +14,10 @@ import numpy.typing as npt
 from ptd.frame import OPEN, Scale
 from ptd.frame import Window as Known
 from ptd.methods import METHODS
-from ptd.passes import Model, Pass, Points
-from tiler.core.classes import GROUND, LOW_NOISE, MARK_BIT, UNCLASSIFIED, participates
+from ptd.passes import Model, Pass, joined
+from tiler.core.classes import GROUND, LOW_NOISE, MARK_BIT, UNCLASSIFIED
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.points import PointBlock
+from tiler.filter.reading import Reader
 from tiler.store import TileStore, open_store
 
 LABELS = "labels"
@@ -51,7 +50,10 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``method``, ``parameters`` (JSON of the dataclass), ``pass`` (number), ``state`` (of the passes before);
         ``cells`` ([[ix, iy], ...], the buckets of the core); ``halo``, ``max_halo`` (counts); ``keep_classes``,
         ``skip_flags``: see `tiler.core.classes.participates`; ``labels_in``, ``labels_out``: names in the store of
-        the labels of the pass before and of this one, or None.
+        the labels of the pass before and of this one, or None; ``elected_in``, ``elected_labels_in``,
+        ``elected_out``: names of the points elected before, of their labels, and of those that this pass elects, or
+        None; ``of_elected``: the labels of this pass are those of elected points; ``held_bytes``: of buckets kept for
+        their neighbours.
 
     Returns
     -------
@@ -59,7 +61,7 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``cells``; ``points``, ``ground``, ``low_noise``, ``unclassified``, ``kept`` (of the core), ``marked``,
         ``tries``, ``halo`` (counts), ``window_points`` (candidates of the last window), ``core_area``,
         ``window_area`` (square counts, all tries), ``labels`` (digest), ``partial`` (for the pass's reduction),
-        ``stats`` of the model.
+        ``stats`` of the model; of a pass that elects also ``elected`` (digest) and ``elected_points`` (of each cell).
     """
     store = open_store(store_url)
     params = METHODS[args["method"]].params(**args["parameters"])
@@ -68,14 +70,17 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
     core = store.meta.bucket.hull(cells)
     halo, tries, area = int(args["halo"]), 0, 0
-    inner = _local(core, store)
+    inner, reader = _local(core, store), Reader(store, step, args)
     while True:
         tries += 1
         window, known = _window(store, core.pad(halo), step, params)
         area += window.area()
-        points, inherited = _points(store, window, step, params.candidate_cell_m, args)
+        points, inherited = reader.window(window, params.candidate_cell_m)
         model = step.fit(points, known, inner, scale, args["state"])
-        labels = {cell: _label(store, cell, step, model, args) for cell in cells} if step.gives_labels else {}
+        labels = {}
+        for cell in cells if step.gives_labels else ():
+            labels[cell], near = _label(reader, cell, model)
+            inherited |= near
         marked = sum(int(np.count_nonzero(found & MARK_BIT)) for found in labels.values())
         if (marked == 0 and model.uncertain() == 0) or halo >= args["max_halo"]:
             break
@@ -83,16 +88,45 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     if inherited:  # what a doubtful label of the pass before may have changed
         labels = {cell: found | (found > 0) * np.uint8(MARK_BIT) for cell, found in labels.items()}
         marked = sum(int(np.count_nonzero(found)) for found in labels.values())
+    write = store.write_elected_labels if args["of_elected"] else store.write_labels
     for cell, found in labels.items():
-        store.write_labels(args["labels_out"], cell, found)
-    joined = np.concatenate(list(labels.values())) if labels else np.zeros(0, np.uint8)
-    counts = np.bincount(joined & ~np.uint8(MARK_BIT), minlength=256)
+        write(args["labels_out"], cell, found)
+    elected = _elect(store, cells, model, args["elected_out"]) if step.elects else {}
+    given = np.concatenate(list(labels.values())) if labels else np.zeros(0, np.uint8)
+    counts = np.bincount(given & ~np.uint8(MARK_BIT), minlength=256)
     return {
         "points": int(counts.sum()), "ground": int(counts[GROUND]), "low_noise": int(counts[LOW_NOISE]),
         "unclassified": int(counts[UNCLASSIFIED]), "kept": int(counts[KEEP]),
         "marked": marked, "tries": tries, "halo": halo,
         "window_points": len(points), "core_area": core.area(), "window_area": area,
-        "cells": args["cells"], "labels": _digest(labels.values()), "partial": model.partial(), "stats": model.stats,
+        "cells": args["cells"], "labels": digest_of_arrays(labels.values()), **elected,
+        "partial": model.partial(), "stats": model.stats,
+    }  # fmt: skip
+
+
+def _label(reader: Reader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:
+    """Labels with marks of all points of a bucket, in its order, and whether a label around it was marked.
+
+    Points that have no part in filtering are not shown to the model.
+    """
+    own = reader.own(cell)
+    others, near = reader.around(cell)
+    found = np.full(own.which.size, KEEP, np.uint8)
+    if len(own.points):
+        labels, marks = model.label(joined([own.points, *others]) if others else own.points)
+        n = len(own.points)
+        found[own.which] = labels[:n] | (marks[:n].astype(np.uint8) * np.uint8(MARK_BIT))
+    return found, near
+
+
+def _elect(store: TileStore, cells: Sequence[Cell], model: Model, name: str) -> dict[str, Any]:
+    """Write what a pass elects of the buckets; a digest of it, and how many points there are in each bucket."""
+    found = {}
+    for cell in cells:
+        found[cell] = model.elect(_local(store.meta.bucket.bounds(cell), store))
+        store.write_elected(name, cell, found[cell])
+    return {
+        "elected": digest_of_arrays(found.values()), "elected_points": [int(xyz.shape[1]) for xyz in found.values()]
     }  # fmt: skip
 
 
@@ -132,56 +166,8 @@ def _local(bounds: Bounds, store: TileStore) -> Known:
     return Known(bounds.x0 - ox, bounds.y0 - oy, bounds.x1 - ox, bounds.y1 - oy)
 
 
-def _points(
-    store: TileStore, window: Bounds, step: Pass, cell_m: float, args: dict[str, Any]
-) -> tuple[Points, bool]:
-    """What a pass looks at, and whether a label among it is marked.
-
-    Points that can become vertices: the store's candidates where the method's cells are made of whole fine cells.
-    """
-    fine = store.meta.fine.size
-    nested = cell_m > 0 and (store.meta.frame.counts(Fraction(repr(float(cell_m)))) / fine).denominator == 1
-    few = nested and not step.every_point
-    labels = args["labels_in"] if "labels" in step.columns else None
-    columns = _stored_columns(step)
-    if few:
-        block = store.window(window, columns, candidates_only=True, labels=labels)
-    else:
-        block = store.window(window, (*columns, "classification", "flags"), labels=labels)
-        block = block.take(_taking_part(block, args))
-    inherited = block.labels is not None and bool((block.labels >= MARK_BIT).any())
-    return _as_points(block), inherited
-
-
-def _stored_columns(step: Pass) -> tuple[str, ...]:
-    return ("xyz", *(name for name in step.columns if name != "labels"))
-
-
-def _as_points(block: PointBlock) -> Points:
-    labels = None if block.labels is None else block.labels & ~np.uint8(MARK_BIT)
-    return Points(block.xyz, labels, block.rgb, block.returns)
-
-
-def _label(
-    store: TileStore, cell: Cell, step: Pass, model: Model, args: dict[str, Any]
-) -> npt.NDArray[np.uint8]:
-    """Labels with marks of all points of a bucket, in its order."""
-    block = store.read_bucket(cell, (*_stored_columns(step), "classification", "flags"))
-    if "labels" in step.columns and args["labels_in"] is not None:
-        block = dataclasses.replace(block, labels=store.read_labels(args["labels_in"], cell))
-    labels, marked = model.label(_as_points(block))
-    labels = labels | (marked.astype(np.uint8) * np.uint8(MARK_BIT))
-    labels[~_taking_part(block, args)] = KEEP
-    return labels
-
-
-def _taking_part(block: PointBlock, args: dict[str, Any]) -> npt.NDArray[np.bool_]:
-    if block.classification is None or block.flags is None:
-        raise ValueError("points were read without their classes and flags")
-    return participates(block.classification, block.flags, args["keep_classes"], args["skip_flags"])
-
-
-def _digest(columns: Iterable[npt.NDArray[np.uint8]]) -> str:
+def digest_of_arrays(columns: Iterable[npt.NDArray[Any]]) -> str:
+    """A digest of their values, one after the other."""
     digest = hashlib.blake2b(digest_size=16)
     for column in columns:
         digest.update(column.tobytes())

@@ -247,4 +247,10 @@ def _planned_passes(params: Any, config: RunConfig, notes: list[str]) -> tuple[P
             + ", ".join(f"{step.name} sees {step.reach_m:g} m" for step in fixed)
             + ", as far as they reach"
         )
-    return tuple(PlannedPass(s.name, halo(s), s.reach_m is not None, s.every_point) for s in params.passes)
+    return tuple(
+        PlannedPass(
+            s.name, halo(s), s.reach_m is not None, s.every_point, s.elected, s.label_margin_m,
+            type(s).applies is not Pass.applies,
+        )
+        for s in params.passes
+    )  # fmt: skip

@@ -18,6 +18,8 @@ VERTEX_BYTES = 200
 """Per candidate that may become a vertex: its columns while it is tested, and its share of the TIN."""
 BUCKET_POINT_BYTES = 200
 """Per point while its bucket is labelled."""
+HELD_BYTES, HELD_SHARE = 64 << 20, 16
+"""Of decoded buckets that are kept for the labels of their neighbours, and at most this part of the memory."""
 ASSEMBLY_POINT_BYTES = 800
 """Per point while its bucket is assembled: fragments, keys and their order."""
 SPOOL_POINT_BYTES = 160
@@ -42,12 +44,21 @@ class PlannedPass:
         The halo is the pass's proven reach and never widened (`ptd.passes.Pass.reach_m`).
     every_point : bool
         It reads all points, not one candidate a cell.
+    elected : bool
+        It reads points that a pass before it made (`ptd.passes.Pass.elected`).
+    margin_m : float
+        What it labels a bucket with of the bucket's surroundings (`ptd.passes.Pass.label_margin_m`).
+    sometimes : bool
+        It does not always apply (`ptd.passes.Pass.applies`).
     """
 
     name: str
     halo_m: float
     fixed: bool
     every_point: bool
+    elected: bool = False
+    margin_m: float = 0.0
+    sometimes: bool = False
 
 
 def nested(cell_m: float) -> bool:
@@ -57,6 +68,8 @@ def nested(cell_m: float) -> bool:
 
 def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass) -> float:
     """Bytes, above `BASE_BYTES`, that a window of a pass needs.
+
+    Elected points are reckoned as one in each thinning cell at most: how many there are is known later.
 
     Parameters
     ----------
@@ -70,9 +83,16 @@ def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass
     """
     vertices = min(points, area_m2 / cell_m**2) if cell_m > 0 else points
     read = points
-    if not step.every_point and nested(cell_m):
+    if step.elected:
+        read = vertices
+    elif not step.every_point and nested(cell_m):
         read = min(points, area_m2 / float(FINE_CELL_M) ** 2)
     return read * READ_BYTES + vertices * VERTEX_BYTES
+
+
+def held_bytes(memory: int) -> int:
+    """Bytes of decoded buckets that a worker keeps for their neighbours, of the memory that it may use."""
+    return min(HELD_BYTES, max(memory - BASE_BYTES, 0) // HELD_SHARE)
 
 
 def bucket_bytes(points: float) -> int:

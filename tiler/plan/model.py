@@ -22,6 +22,7 @@ from tiler.plan.memory import (
     PlannedPass,
     bucket_bytes,
     filter_bytes,
+    held_bytes,
     ingest_bytes,
 )
 from tiler.store import StoreMeta
@@ -98,9 +99,10 @@ class Plan:
     def margin(self) -> int:
         """Counts around the area within which points are read.
 
-        The widest halo that a pass starts with, and what a facet at the edge can reach.
+        The widest halo that a pass starts with, what labels are made with, and what a facet at the edge can reach.
         """
-        return math.ceil(self.meta.frame.counts(max(Fraction(self.halo_m), self.grid_halo)))
+        labels = max((Fraction(step.margin_m) for step in self.passes), default=Fraction(0))
+        return math.ceil(self.meta.frame.counts(max(Fraction(self.halo_m), self.grid_halo, labels)))
 
     def buckets_of(self, source: SourceInfo) -> Runs | None:
         """The buckets whose points of a source are read; None for all of them."""
@@ -209,11 +211,14 @@ class Plan:
         """Peak bytes of a worker with a tile of that side and halo, of the mean density or in the fullest place."""
         side = side_m + 2 * halo_m
         area = min(side**2, self.area_m2)
-        points, bucket = self.density * area, self.density * self.bucket_m**2
+        bucket_m = self.bucket_m + 2 * step.margin_m
+        points, bucket = self.density * area, self.density * bucket_m**2
         if crowded:
-            points, bucket = max(points, self.crowd.fullest(side)), self.fullest_bucket
+            points = max(points, self.crowd.fullest(side))
+            bucket = max(bucket, self.crowd.fullest(bucket_m))
         window = filter_bytes(points, area, self.candidate_cell_m, step)
-        return int(BASE_BYTES + window + bucket_bytes(bucket))
+        held = held_bytes(self.memory) if step.margin_m else 0
+        return int(BASE_BYTES + window + bucket_bytes(bucket) + held)
 
     def widest_halo_m(self, step: PlannedPass) -> float:
         """Metres of halo that a tile with marks may take: doubled and doubled again while the memory allows."""

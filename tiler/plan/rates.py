@@ -53,11 +53,12 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
 def projected_seconds(plan: Plan) -> tuple[float, bool]:
     """Seconds of the whole job, and whether all of it rests on earlier runs of this machine."""
     products = dict.fromkeys(("dtm", *plan.config.products))
-    stages = [
-        "spool", "assemble", *(f"filter{number}" for number in range(len(plan.passes))),
-        *(f"grid-{name}" for name in products), "export",
-    ]  # fmt: skip
     known = _read()
+    filters = {f"filter{number}": step for number, step in enumerate(plan.passes)}
+    # Of passes that do not always apply those count that earlier runs did, if they did any.
+    did = [stage for stage, step in filters.items() if step.sometimes and _name(plan, stage) in known]
+    filters = {s: step for s, step in filters.items() if s in did or not (did and step.sometimes)}
+    stages = ["spool", "assemble", *filters, *(f"grid-{name}" for name in products), "export"]
     rates = [known.get(_name(plan, s), TYPICAL[re.split(r"[-\d]", s)[0]]) for s in stages]
     return sum(rates) * plan.points / 1e6 / plan.workers, all(_name(plan, s) in known for s in stages)
 

@@ -7,6 +7,7 @@
     index/<digest>.npy             which rows belong to which bucket, and how many points they hold
     index/current.json             which index is the current one
     labels/<name>                  uint8, rows as in points
+    elected/<name>                 int32 (rows, 3, ROW_POINTS): points that a pass made, in the rows of their buckets
     rasters/<name>                 float32 (height, width)
     spool/<piece>                  records of one source piece, sorted by bucket
     commits/<stage>/<key>.json     one finished task
@@ -113,6 +114,9 @@ COLUMNS = (
     _column("origin", "int64", origin=1),
 )
 LABELS = ArrayKind("uint8", (1, 1, ROW_POINTS))
+NOWHERE = -(2**31)
+"""x of the places in a bucket's rows that hold no elected point: as many as they are come first."""
+ELECTED = ArrayKind("int32", (1, 3, ROW_POINTS), fill=NOWHERE)
 
 
 def columns(has_rgb: bool) -> tuple[Column, ...]:
@@ -147,6 +151,11 @@ def points_path(column: str) -> str:
 def labels_path(name: str) -> str:
     """Path of the labels of a pass."""
     return f"labels/{safe(name)}"
+
+
+def elected_path(name: str) -> str:
+    """Path of the points that a pass elected."""
+    return f"elected/{safe(name)}"
 
 
 def raster_path(name: str) -> str:
@@ -184,14 +193,14 @@ _SAFE = re.compile(_NAME)
 _HEX = "[0-9a-f]{32}"
 _KEYS = re.compile(
     r"zarr\.json|lock\.json"
-    rf"|(points|labels|rasters|spool)/({_NAME}/)?zarr\.json"
-    rf"|(points|labels|rasters|spool)/{_NAME}/c(/[0-9]+)+"
+    rf"|(points|labels|elected|rasters|spool)/({_NAME}/)?zarr\.json"
+    rf"|(points|labels|elected|rasters|spool)/{_NAME}/c(/[0-9]+)+"
     rf"|index/(current\.json|{_HEX}\.npy)"
     rf"|commits/{_NAME}/{_NAME}\.json|(packs|state)/{_NAME}\.json|trial/{_HEX}"
 )
 # What zarr's local store writes before it renames.
 _SCRATCH = re.compile(
-    rf"((points|labels|rasters|spool|index|commits|packs|state|trial)/(.+/)?)?[^/]+\.{_HEX}\.partial"
+    rf"((points|labels|elected|rasters|spool|index|commits|packs|state|trial)/(.+/)?)?[^/]+\.{_HEX}\.partial"
 )
 
 

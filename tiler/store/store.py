@@ -14,7 +14,7 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
 from tiler.errors import StoreError
-from tiler.store import arrays, commits, index, layout, lock, points, rasters, spool
+from tiler.store import arrays, commits, elected, index, layout, lock, points, rasters, spool
 from tiler.store.index import Bucket, BucketIndex, BucketInfo
 from tiler.store.meta import StoreMeta
 from tiler.store.storage import Storage, Usage
@@ -42,6 +42,7 @@ class TileStore:
         self._points = points.PointColumns(storage, meta.has_rgb)
         self._index: BucketIndex | None = None
         self._labels: dict[str, arrays.ZarrArray] = {}
+        self._elected: dict[str, arrays.ZarrArray] = {}
         self._rasters: dict[str, arrays.ZarrArray] = {}
         self._areas: dict[str, Area] = {}
 
@@ -137,16 +138,18 @@ class TileStore:
         before = index.current_index(self._storage)
         after, moved = before.allocated(counts, layout.ROW_POINTS)
         self._points.grow(after.rows)
-        for name in self._storage.names("labels"):
-            if name != "zarr.json":
-                shape = (after.rows, 1, layout.ROW_POINTS)
-                points.lengthen(self._storage, layout.labels_path(name), layout.LABELS, shape)
-                for bucket in moved:
-                    points.delete_rows(self._storage, layout.labels_path(name), bucket)
+        for folder, kind in (("labels", layout.LABELS), ("elected", layout.ELECTED)):
+            for name in self._storage.names(folder):
+                if name != "zarr.json":
+                    path = f"{folder}/{name}"
+                    points.lengthen(self._storage, path, kind, (after.rows, *kind.chunks[1:]))
+                    for bucket in moved:
+                        points.delete_rows(self._storage, path, bucket)
         after.publish(self._storage)
         for bucket in moved:
             self._points.delete_rows(bucket)
         self._labels.clear()
+        self._elected.clear()
         self._index = after
 
     def write_bucket(self, cell: Cell, block: PointBlock, n_candidates: int) -> BucketInfo:
@@ -230,6 +233,7 @@ class TileStore:
         self._points = points.PointColumns(self._storage, self.meta.has_rgb)
         self._index = None
         self._labels.clear()
+        self._elected.clear()
         self._rasters.clear()
 
     def refresh(self) -> None:
@@ -257,13 +261,13 @@ class TileStore:
             raise StoreError(
                 f"labels {name} of bucket {cell.name}: need {n} uint8, got {labels.shape} {labels.dtype}"
             )
+        points.write_rows(self._storage, self._made_labels(name), bucket, labels[np.newaxis])
+
+    def _made_labels(self, name: str) -> arrays.ZarrArray:
         if name not in self._labels:
-            # The first task of a pass makes the array; tasks that do so at the same time write the same.
-            shape = (self._current().rows, 1, layout.ROW_POINTS)
-            path = layout.labels_path(name)
-            found = arrays.find_array(self._storage, path, layout.LABELS)
-            self._labels[name] = found or arrays.create_array(self._storage, path, shape, layout.LABELS)
-        points.write_rows(self._storage, self._labels[name], bucket, labels[np.newaxis])
+            path, rows = layout.labels_path(name), self._current().rows
+            self._labels[name] = elected.make_array(self._storage, path, layout.LABELS, rows)
+        return self._labels[name]
 
     def read_labels(self, name: str, cell: Cell) -> npt.NDArray[np.uint8]:
         """The labels of a bucket, uint8 (n,); StoreError where they were not written."""
@@ -273,6 +277,44 @@ class TileStore:
             return np.empty(0, dtype=np.uint8)
         labels: npt.NDArray[np.uint8] = points.read_rows(self._storage, self._label_array(name), parts)[0]
         return labels
+
+    # --- elected points
+
+    def write_elected(self, name: str, cell: Cell, xyz: npt.NDArray[np.int32]) -> None:
+        """Write the points that a pass elected in a bucket, int32 (3, m); StoreError where one lies outside it."""
+        bucket = self._bucket(cell)
+        if xyz.dtype != np.int32 or xyz.ndim != 2 or xyz.shape[0] != 3:
+            raise StoreError(
+                f"elected points of bucket {cell.name}: need int32 (3, m), got {xyz.dtype} {xyz.shape}"
+            )
+        if not PointBlock(xyz).inside(self.meta.bucket.bounds(cell), self.meta.frame.origin).all():
+            raise StoreError(f"bucket {cell.name}: an elected point lies outside the bucket")
+        if name not in self._elected:
+            path, rows = layout.elected_path(name), self._current().rows
+            self._elected[name] = elected.make_array(self._storage, path, layout.ELECTED, rows)
+        elected.write(self._storage, self._elected[name], bucket, _count(bucket, False), xyz)
+
+    def write_elected_labels(self, name: str, cell: Cell, labels: npt.NDArray[np.uint8]) -> None:
+        """Write the labels of the elected points of a bucket, uint8 (m,) in their stored order."""
+        bucket = self._bucket(cell)
+        n, array = _count(bucket, False), self._made_labels(name)
+        elected.write(self._storage, array, bucket, n, labels[np.newaxis])
+
+    def elected(self, name: str, bounds: Bounds, labels: str | None = None) -> PointBlock:
+        """The points of ``bounds`` that a pass elected, with their labels of that name if one is given.
+
+        Buckets come row by row from the south-west; those of a bucket in stored order.
+        """
+        if name not in self._elected:
+            path = layout.elected_path(name)
+            self._elected[name] = arrays.open_array(self._storage, path, layout.ELECTED)
+        parts = [
+            part
+            for bucket in self._current().overlapping(self.meta.bucket, bounds)
+            for part in elected.places(bucket, _count(bucket, False))
+        ]
+        given = None if labels is None else self._label_array(labels)
+        return elected.read(self._storage, self._elected[name], given, parts, bounds, self.meta.frame.origin)
 
     # --- rasters
 

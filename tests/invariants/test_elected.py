@@ -1,0 +1,304 @@
+"""Passes that elect points, passes on these, and labels from neighbours: tiles show nowhere, nothing stale is left."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ptd
+from ptd.methods import METHODS
+from ptd.passes import Pass
+from tests.integration.test_damaged_store import DAMAGES
+from tests.invariants import clouds
+from tests.invariants.clouds import CORNER, Cloud
+from tests.invariants.runs import computed, do, settings, stored_labels, the_store
+from tests.ptd.medians import METHOD, MeanPass, MedianPass, Parameters, RisingPass, SpreadPass
+from tiler.errors import ConfigError, ProcessingError
+from tiler.filter.reading import Reader
+from tiler.plan import make_plan
+from tiler.store import layout
+
+NOISE = 7
+STAGES = [f"filter{number}" for number in (0, 3, 4, 5, 6)]
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, "medians", METHOD)
+    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 500)  # buckets of 16 m
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[Cloud, np.ndarray, np.ndarray]:
+    """A town, points on the borders of buckets, and noise high above that takes no part; its classes, and the truth."""
+    cloud = clouds.city(47.0, 2.0)
+    x, y = np.meshgrid(np.arange(0.0, 47.0, 16), np.arange(0.0, 47.0, 16))
+    border = np.stack([x.ravel(), y.ravel(), np.full(x.size, cloud.xyz[:, 2].mean())], axis=1)
+    edge = border + [-0.001, 0.0, 0.5]
+    noise = cloud.xyz[::40] + [0.05, 0.05, 30.0]
+    xyz = np.round(np.concatenate([cloud.xyz, border, edge[edge[:, 0] > 0], noise]), 3)
+    classes = np.ones(len(xyz), np.uint8)
+    classes[-len(noise) :] = NOISE
+    part = classes == 1
+    expected = np.zeros(len(xyz), np.uint8)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(METHODS, "medians", METHOD)
+        expected[part] = ptd.classify(xyz[part] + [*CORNER, 0], "medians", kind="dim").classification
+    return Cloud(xyz, classes), classes, expected
+
+
+@pytest.fixture(scope="module")
+def file(scene: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    cloud, classes, _ = scene
+    return clouds.write(tmp_path_factory.mktemp("clouds") / "town.laz", cloud, classes=classes)
+
+
+def filtered(path: Path, out: Path, **changes: Any) -> Any:
+    values: dict[str, Any] = {"method": "medians", "kind": "dim", "tile_size": "32", "halo": None, **changes}
+    return do(path, out, "filter", **values)
+
+
+def check(out: Path, scene: Any) -> None:
+    labels, marks = stored_labels(out)
+    assert np.array_equal(labels, scene[2])
+    assert not marks.any()
+
+
+@pytest.mark.parametrize("tile", ["16", "32", "512"])
+def test_tiles_do_not_show(tile: str, scene: Any, file: Path, tmp_path: Path) -> None:
+    assert 0.2 < (scene[2] == 2).mean() < 0.9
+    result = filtered(file, tmp_path / "out", tile_size=tile)
+    check(tmp_path / "out", scene)
+    assert [s for s in result.summary["stages"] if s.startswith("filter")] == STAGES
+    assert list(result.summary["statistics"]) == ["census", "medians", "rising", "spread", "mean"]
+    assert result.summary["filter"]["kept"] == np.count_nonzero(scene[1] == NOISE)
+
+
+def test_order_frame_and_rows_do_not_show(
+    scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Buckets of several rows; little is kept for neighbours."""
+    cloud, classes, expected = scene
+    monkeypatch.setattr(layout, "ROW_POINTS", 64)
+    monkeypatch.setattr("tiler.store.points.ROW_POINTS", 64)
+    monkeypatch.setattr("tiler.store.elected.ROW_POINTS", 64)
+    for kind in ("LABELS", "ELECTED"):
+        old = getattr(layout, kind)
+        new = layout.ArrayKind(old.dtype, (*old.chunks[:2], 64), old.fill)
+        monkeypatch.setattr(layout, kind, new)
+    columns = tuple(
+        layout.Column(c.name, c.fields, c.width, layout.ArrayKind(c.kind.dtype, (*c.kind.chunks[:2], 64)))
+        for c in layout.COLUMNS
+    )
+    monkeypatch.setattr(layout, "COLUMNS", columns)
+    monkeypatch.setattr("tiler.tasks.held_bytes", lambda memory: 20_000)
+    monkeypatch.setattr("tiler.plan.sizes.origin_of", lambda extent: (499_876_543, 5_400_000_077))
+    order = np.random.default_rng(0).permutation(len(cloud))
+    path = clouds.write(tmp_path / "shuffled.laz", cloud.take(order), classes=classes[order])
+    filtered(path, tmp_path / "out")
+    labels, _ = stored_labels(tmp_path / "out")
+    assert np.array_equal(labels, expected[order])
+    store = the_store(tmp_path / "out")
+    assert max(info.n for info in store.buckets().values()) > 3 * 64
+
+
+class Wary(RisingPass):
+    """Not certain until it sees 12 m: tiles are done a second time."""
+
+    reach_m, halo_m = None, 6.0
+
+    def fit(self, points: Any, window: Any, core: Any, scale: Any, state: Any) -> Any:
+        model = super().fit(points, window, core, scale, state)
+        near = core.west - window.west < 20_000 and core.south - window.south < 20_000 and window.closed
+        model.uncertain = lambda: int(near)  # type: ignore[method-assign]
+        return model
+
+
+def test_tiles_that_are_done_twice(
+    scene: Any, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    passes = [Wary() if isinstance(step, RisingPass) else step for step in Parameters().passes]
+    monkeypatch.setattr(Parameters, "passes", tuple(passes))
+    filtered(file, tmp_path / "out")
+    check(tmp_path / "out", scene)
+    tries = [r["tries"] for _, r in the_store(tmp_path / "out").committed("filter4").values()]
+    assert max(tries) > 1
+
+
+def test_each_bucket_is_read_about_once(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[Any] = []
+    before = Reader._read
+
+    def counted(self: Reader, cell: Any) -> Any:
+        read.append(cell)
+        return before(self, cell)
+
+    monkeypatch.setattr(Reader, "_read", counted)
+    filtered(file, tmp_path / "out", tile_size="512")
+    buckets = len(the_store(tmp_path / "out").buckets())
+    assert buckets == 9
+    assert len(read) == 3 * buckets  # rising, spread, mean
+
+
+def test_another_branch_leaves_nothing_stale(scene: Any, file: Path, tmp_path: Path) -> None:
+    """Both branches write the final labels: what the other one did has to be done again."""
+    out = tmp_path / "out"
+    z = np.round(scene[0].xyz[:, 2] * 1000).astype(np.int64)
+    part = scene[1] == 1
+    laser = np.where(part, np.where(z > z[part].sum() // part.sum(), 1, 2), 0)
+    for kind in ("dim", None, "dim"):
+        result = filtered(file, out, kind=kind)
+        labels, _ = stored_labels(out)
+        assert np.array_equal(labels, scene[2] if kind else laser)
+        done = {stage: n for stage, n in computed(result).items() if stage.startswith("filter")}
+        assert list(done) == (STAGES if kind else ["filter0", "filter1", "filter2"])
+        assert min(done.values()) > 0
+        kept = {f"filter{n}" for n in range(7) if the_store(out).committed(f"filter{n}")}
+        assert kept == done.keys()
+        again = filtered(file, out, kind=kind)
+        assert sum(computed(again).values()) == 0
+
+
+class Killed(Exception):
+    pass
+
+
+@pytest.mark.parametrize("at", [MedianPass, RisingPass, SpreadPass, MeanPass])
+def test_a_run_that_ended_on_the_way_goes_on(
+    at: type[Pass], scene: Any, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    filtered(file, out, kind="als")
+    with monkeypatch.context() as patch:
+        calls, fit = [0], at.fit
+
+        def failing(self: Any, *arguments: Any) -> Any:
+            calls[0] += 1
+            if calls[0] > 2:
+                raise Killed
+            return fit(self, *arguments)
+
+        patch.setattr(at, "fit", failing)
+        with pytest.raises(ProcessingError, match="--on-error skip"):
+            filtered(file, out, on_error="stop")
+    result = filtered(file, out)
+    check(out, scene)
+    again = result.summary["stages"]
+    stage = f"filter{[type(step) for step in Parameters().passes].index(at)}"
+    assert 0 < again[stage]["done"] < again[stage]["tasks"]
+
+
+def test_a_tile_that_fails_elects_nothing(
+    file: Path, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of elections and of labels of elected points; the next run makes good."""
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        for step in (MedianPass, RisingPass):
+            fit = step.fit
+
+            def failing(self: Any, points: Any, window: Any, core: Any, *more: Any, fit: Any = fit) -> Any:
+                x, y = points.xyz[:2].astype(np.int64)
+                first = (x - x.min() < 9000) & (y - y.min() < 9000)
+                if first.sum() % 7 == 1:
+                    raise RuntimeError("no")
+                return fit(self, points, window, core, *more)
+
+            patch.setattr(step, "fit", failing)
+        result = filtered(file, out)
+        assert {f["stage"] for f in result.summary["failed_tasks"]} >= {"filter3"}
+        assert result.exit_code == 5
+    filtered(file, out)
+    check(out, scene)
+
+
+@pytest.mark.parametrize(
+    ("what", "damage"),
+    [
+        *(("elected/elected-3", d) for d in DAMAGES),
+        ("labels/labels-4", "gone"),
+        ("labels/labels-5", "flipped"),
+    ],
+)
+def test_a_damaged_chunk_is_made_again(
+    what: str, damage: str, scene: Any, file: Path, whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    store = the_store(out)
+    store.clear("filter6")  # so that something reads them again
+    chunks = sorted((out / "store.zarr" / what).glob("c/*/0/0"), key=lambda p: p.stat().st_size)
+    if what.startswith("labels"):
+        store.clear("filter5")
+    DAMAGES[damage](chunks[-1])
+    result = filtered(file, out)
+    check(out, scene)
+    assert bool(result.summary.get("healed")) == (what != "labels/labels-5")
+    assert result.summary["stages"]["assemble"]["computed"] == 0
+
+
+@pytest.fixture(scope="module")
+def whole(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("whole") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tiler.plan.sizes.BUCKET_POINTS", 500)
+        patch.setitem(METHODS, "medians", METHOD)
+        filtered(file, out)
+    return out
+
+
+def test_metadata_of_elected_points_that_are_damaged(
+    scene: Any, file: Path, whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    the_store(out).clear("filter4")
+    DAMAGES["flipped"](out / "store.zarr" / "elected" / "elected-3" / "zarr.json")
+    assert filtered(file, out).summary["healed"]
+    check(out, scene)
+
+
+def test_a_part_with_the_statistics_of_the_whole(scene: Any, file: Path, whole: Path, tmp_path: Path) -> None:
+    x, y = CORNER
+    bounds = (x + 10, y + 12, x + 37, y + 30)
+    result = filtered(file, tmp_path / "out", statistics=str(whole), bounds=bounds)
+    assert [s for s in result.summary["stages"] if s.startswith("filter")] == STAGES
+    store = the_store(tmp_path / "out")
+    found: dict[int, int] = {}
+    for cell in store.buckets():
+        origin = store.read_bucket(cell, ("origin",)).origin
+        assert origin is not None
+        labels = store.read_labels("labels", cell)
+        found |= dict(zip(origin.tolist(), labels.tolist(), strict=True))
+    at = scene[0].xyz
+    inside = (at[:, 0] >= 10) & (at[:, 0] < 37) & (at[:, 1] >= 12) & (at[:, 1] < 30)
+    assert all(found[i] == scene[2][i] for i in np.flatnonzero(inside).tolist())
+    laser = tmp_path / "laser"
+    filtered(file, laser, kind="als")
+    shutil.copytree(laser, tmp_path / "copy")
+    result = filtered(file, tmp_path / "out", statistics=str(tmp_path / "copy"), kind="dim")
+    assert "filter1" in result.summary["stages"]  # as that run decided
+
+
+def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
+    plan = make_plan([str(file)], settings(method="medians", tile_size=None, halo=None))
+    by_name = {step.name: step for step in plan.passes}
+    assert by_name["spread"].margin_m == 3.0
+    assert by_name["mean"].elected
+    assert not by_name["medians"].elected
+    assert by_name["medians"].sometimes
+    assert not by_name["census"].sometimes
+    spread = by_name["spread"]
+    assert plan.filter_peak(spread, 64, 8) > plan.filter_peak(by_name["rising"], 64, 8)
+
+
+def test_statistics_of_a_run_that_did_other_passes(
+    file: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(MedianPass, "name", "other")
+    with pytest.raises(ConfigError, match="did not do the pass other; use the same --kind"):
+        filtered(file, tmp_path / "out", statistics=str(whole))

@@ -1,0 +1,138 @@
+"""What a tile's task reads of the store: the points of a window, and bucket by bucket those that are labelled."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import OrderedDict
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.passes import Pass, Points
+from tiler.core.classes import MARK_BIT, participates
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.points import PointBlock
+from tiler.store import BucketInfo, TileStore
+
+
+@dataclasses.dataclass(frozen=True)
+class Bucket:
+    """The points of a bucket that may be labelled, and which of all its points they are (bool [n])."""
+
+    points: Points
+    which: npt.NDArray[np.bool_]
+    marked: bool
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of its columns."""
+        columns = (getattr(self.points, f.name) for f in dataclasses.fields(Points))
+        return int(self.which.nbytes) + sum(int(c.nbytes) for c in columns if c is not None)
+
+
+class Reader:
+    """Reads for one task.
+
+    Parameters
+    ----------
+    store : TileStore
+    step : Pass
+    args : dict
+        Of the task, see `tiler.filter.filter_tile`.
+    """
+
+    def __init__(self, store: TileStore, step: Pass, args: dict[str, Any]) -> None:
+        self._store, self._step, self._args = store, step, args
+        self._columns = ("xyz", *(name for name in step.columns if name != "labels"))
+        self._labels = args["labels_in"] if "labels" in step.columns else None
+        self._elected_labels = args["elected_labels_in"] if "labels" in step.columns else None
+        self._margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(step.label_margin_m)))))
+        self._cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
+        self._near: dict[Cell, BucketInfo] | None = None
+        self._held: OrderedDict[Cell, Bucket] = OrderedDict()
+        self._held_bytes = 0
+
+    def window(self, bounds: Bounds, cell_m: float) -> tuple[Points, bool]:
+        """What a pass looks at, and whether a label among it is marked.
+
+        Points that can become vertices: the store's candidates where the method's cells are made of whole fine cells.
+        """
+        if self._step.elected:
+            block = self._elected(bounds)
+        else:
+            fine, frame = self._store.meta.fine.size, self._store.meta.frame
+            nested = cell_m > 0 and (frame.counts(Fraction(repr(float(cell_m)))) / fine).denominator == 1
+            if nested and not self._step.every_point:
+                block = self._store.window(bounds, self._columns, candidates_only=True, labels=self._labels)
+            else:
+                columns = (*self._columns, "classification", "flags")
+                block = self._store.window(bounds, columns, labels=self._labels)
+                block = block.take(self._taking_part(block))
+        return self._as_points(block), _any_marked(block)
+
+    def own(self, cell: Cell) -> Bucket:
+        """The points of a bucket that the pass labels."""
+        if cell in self._held:
+            self._held.move_to_end(cell)
+            return self._held[cell]
+        found = self._read(cell)
+        if self._margin:  # its neighbours will ask for it again
+            self._held[cell] = found
+            self._held_bytes += found.size_bytes
+            while self._held_bytes > self._args["held_bytes"] and len(self._held) > 1:
+                self._held_bytes -= self._held.popitem(last=False)[1].size_bytes
+        return found
+
+    def around(self, cell: Cell) -> tuple[list[Points], bool]:
+        """Points within the pass's `label_margin_m` around a bucket, and whether the label of one is marked."""
+        if not self._margin:
+            return [], False
+        lattice, (ox, oy) = self._store.meta.bucket, self._store.meta.frame.origin
+        if self._near is None:  # asked once: each time costs a look at the index
+            self._near = self._store.buckets_within(lattice.hull(self._cells).pad(self._margin))
+        seen = lattice.bounds(cell).pad(self._margin)
+        found, marked = [], False
+        for other in lattice.among(seen, self._near):
+            if other == cell:
+                continue
+            bucket = self.own(other)
+            x, y = bucket.points.xyz[0].astype(np.int64) + ox, bucket.points.xyz[1].astype(np.int64) + oy
+            near = (x >= seen.x0) & (x < seen.x1) & (y >= seen.y0) & (y < seen.y1)
+            if near.any():
+                found.append(bucket.points.take(near))
+                marked |= bucket.marked
+        return found, marked
+
+    def _read(self, cell: Cell) -> Bucket:
+        if self._args["of_elected"]:
+            block = self._elected(self._store.meta.bucket.bounds(cell))
+            return Bucket(self._as_points(block), np.ones(len(block), np.bool_), _any_marked(block))
+        block = self._store.read_bucket(cell, (*self._columns, "classification", "flags"))
+        if self._labels is not None:
+            block = dataclasses.replace(block, labels=self._store.read_labels(self._labels, cell))
+        which = self._taking_part(block)
+        if not which.all():
+            block = block.take(which)
+        return Bucket(self._as_points(block), which, _any_marked(block))
+
+    def _elected(self, bounds: Bounds) -> PointBlock:
+        return self._store.elected(self._args["elected_in"], bounds, self._elected_labels)
+
+    def _as_points(self, block: PointBlock) -> Points:
+        labels = None if block.labels is None else block.labels & ~np.uint8(MARK_BIT)
+        if labels is None and "labels" in self._step.columns:
+            labels = np.zeros(len(block), np.uint8)  # none yet
+        return Points(block.xyz, labels, block.rgb, block.returns)
+
+    def _taking_part(self, block: PointBlock) -> npt.NDArray[np.bool_]:
+        if block.classification is None or block.flags is None:
+            raise ValueError("points were read without their classes and flags")
+        keep, skip = self._args["keep_classes"], self._args["skip_flags"]
+        return participates(block.classification, block.flags, keep, skip)
+
+
+def _any_marked(block: PointBlock) -> bool:
+    return block.labels is not None and bool((block.labels >= MARK_BIT).any())
