@@ -4,14 +4,18 @@ Kernels compile once per machine and version. numba's cache looks at a kernel's 
 upgrade it would take old code of the kernels that it calls for fresh. Here the folder's name holds a digest of the
 package's place and of all its sources; it lies in ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache folder,
 else in a folder of the user's own among the temporary files. Where none can be written each process compiles for
-itself.
+itself. One in ``NUMBA_CACHE_DIR`` that belongs to root, and that nobody else can write, is taken over as a copy: an
+image brings it along for whatever user it runs as.
 """
 
 import functools
 import hashlib
 import os
+import shutil
+import stat
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ParamSpec, SupportsInt, TypeVar, cast
 
@@ -41,10 +45,41 @@ def cache_folder() -> Path | None:
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     user = os.getuid() if hasattr(os, "getuid") else "user"
     places = (os.environ.get("NUMBA_CACHE_DIR"), home, os.path.join(tempfile.gettempdir(), f"cache-{user}"))
-    for place in places:
-        if place and _usable(folder := Path(place) / "tiler-kernels" / digest.hexdigest()):
+    folders = [Path(place) / "tiler-kernels" / digest.hexdigest() for place in places if place]
+    shared = [folder for folder in folders if _trusted(folder)]
+    for folder in folders:
+        if shared and not folder.exists():
+            _take_over(shared[0], folder)
+        if _usable(folder):
             return folder
     return None
+
+
+_ROOT = 0
+
+
+def _trusted(path: Path) -> bool:
+    """Whether what is at a path is root's alone, and can be exchanged by nobody else: it holds code that is run."""
+    try:
+        real = path.resolve(strict=True)
+        stats = [place.stat() for place in (real, *real.parents)]
+    except OSError:
+        return False
+    return all(s.st_uid == _ROOT and not s.st_mode & (stat.S_IWGRP | stat.S_IWOTH) for s in stats)
+
+
+def _take_over(shared: Path, folder: Path) -> None:
+    """Copy a cache, all of it or nothing; other processes may do so at the same time."""
+    with suppress(OSError):
+        folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
+            copy = Path(scratch) / "copy"
+            shutil.copytree(
+                shared, copy, symlinks=True,
+                ignore=lambda place, names: [name for name in names if not _trusted(Path(place, name))],
+            )  # fmt: skip
+            copy.chmod(0o700)
+            copy.rename(folder)
 
 
 def _usable(folder: Path) -> bool:

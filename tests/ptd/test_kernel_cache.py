@@ -1,0 +1,125 @@
+"""Where machine code is kept, and whose is trusted."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ptd import kernel
+
+
+@pytest.fixture
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A cache as an image has it, of a user who stands for root, and another user with a home.
+
+    In a place of its own: all folders above it have to be that user's as well, which the system's scratch is not.
+    """
+    me = os.getuid()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "image"))
+    kernel.cache_folder.cache_clear()
+    folder = kernel.cache_folder()
+    assert folder is not None
+    assert folder.is_relative_to(tmp_path / "image")
+    (folder / "ptd_1").mkdir()
+    (folder / "ptd_1" / "a.nbc").write_bytes(b"code")
+    (folder / "classic.compiled").touch()
+    monkeypatch.setattr(kernel, "_ROOT", me)
+    real = Path.stat
+
+    def plain(path: Path, **options: bool) -> os.stat_result:
+        """Folders above are the same user's, as they are in an image."""
+        found = real(path, **options)
+        if path in tmp_path.parents or path == tmp_path:
+            return os.stat_result((0o40755, *found[1:4], me, *found[5:]))
+        return found
+
+    monkeypatch.setattr(Path, "stat", plain)
+    monkeypatch.setattr(os, "getuid", lambda: me + 1)
+    kernel.cache_folder.cache_clear()
+    yield folder
+    monkeypatch.undo()
+    kernel.cache_folder.cache_clear()
+
+
+def own_of_a_stranger(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path | None:
+    """The folder of another user, whose own files the test cannot make: they count as his."""
+    monkeypatch.setattr(
+        kernel, "_usable", lambda path: path.is_relative_to(tmp_path / "home") and path.exists()
+    )
+    return kernel.cache_folder()
+
+
+def test_that_of_an_image_is_taken_over_as_a_copy(
+    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = own_of_a_stranger(shared, tmp_path, monkeypatch)
+    assert folder == tmp_path / "home" / "tiler-kernels" / shared.name
+    assert (folder / "ptd_1" / "a.nbc").read_bytes() == b"code"
+    assert (folder / "classic.compiled").exists()
+    assert folder.stat().st_mode & 0o77 == 0
+    assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+
+
+@pytest.mark.parametrize("open_place", ["", "ptd_1", "ptd_1/a.nbc", "../.."])
+def test_what_others_could_write_is_not(
+    open_place: str, shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = shared / open_place
+    place.chmod(0o777)
+    folder = own_of_a_stranger(shared, tmp_path, monkeypatch)
+    copied = folder is not None and (folder / "ptd_1" / "a.nbc").exists()
+    assert not copied
+
+
+def test_what_is_a_link_to_elsewhere_is_not(
+    shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere").write_bytes(b"other code")
+    (tmp_path / "elsewhere").chmod(0o666)
+    (shared / "ptd_1" / "b.nbc").symlink_to(tmp_path / "elsewhere")
+    folder = own_of_a_stranger(shared, tmp_path, monkeypatch)
+    assert folder is not None
+    assert not (folder / "ptd_1" / "b.nbc").exists()
+
+
+def reaches_python(user: int) -> bool:
+    try:
+        subprocess.run(
+            [sys.executable, "-c", "import numba"], user=user, group=user, extra_groups=[], check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return False
+    return True
+
+
+@pytest.mark.skipif(
+    os.geteuid() != 0 or not reaches_python(65534),
+    reason="nobody else can start this Python, or become another user",
+)
+def test_another_user_has_the_kernels_of_root() -> None:
+    """In processes of both: the other one compiles nothing."""
+    with tempfile.TemporaryDirectory(dir="/var/cache") as image, tempfile.TemporaryDirectory() as home:
+        os.chmod(image, 0o755)
+        os.chmod(home, 0o777)
+        script = "import ptd.kernel as k; k.wide(1); print(k.cache_folder(), sum(k.wide.stats.cache_misses.values()))"
+        variables = {**os.environ, "NUMBA_CACHE_DIR": image, "XDG_CACHE_HOME": f"{home}/user", "HOME": home}
+
+        def told(user: int) -> list[str]:
+            done = subprocess.run(
+                [sys.executable, "-c", script], env=variables, user=user, capture_output=True, text=True, check=True,
+                extra_groups=[], group=user,
+            )  # fmt: skip
+            return done.stdout.split()
+
+        assert told(0)[1] == "1"
+        subprocess.run(["chmod", "-R", "a+rX,go-w", image], check=True)  # as the Dockerfile does
+        folder, misses = told(65534)
+        assert folder.startswith(f"{home}/user/")
+        assert misses == "0"
