@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
 import pytest
 import rasterio
 
-from tests.invariants.runs import do, dtm
+from tests.invariants.runs import do, dtm, the_store
 from tiler.errors import ConfigError, InputError
+from tiler.store import TileStore
 
 
 def write_points(path: Path, places: np.ndarray, classes: int = 2) -> Path:
@@ -146,3 +149,45 @@ def test_heights_that_no_run_can_hold(good: list[Path], tmp_path: Path) -> None:
     result = do([*good, high], tmp_path / "out", **KEEP)
     assert result.exit_code == 5
     assert [q["path"] for q in result.summary["quarantined"]] == [str(high)]
+
+
+def test_one_more_input_makes_the_sheets_that_it_touches(tmp_path: Path) -> None:
+    west, south = 500_000, 5_000_000
+    first = [site(tmp_path / f"{i}.las", west + 1000 * i, south + 1000 * i) for i in (0, 2)]
+    how = {**KEEP, "sheets": "50", "max_edge": "20"}
+    do(first, tmp_path / "out", **how)
+    tags = {p.name: rasterio.open(p).tags()["TILER_INPUTS"] for p in (tmp_path / "out" / "dtm").iterdir()}
+    assert len(set(tags.values())) == 2
+    result = do([*first, site(tmp_path / "1.las", west + 1000, south + 1000)], tmp_path / "out", **how)
+    assert result.summary["stages"]["export"]["tasks"] == 3
+    assert result.summary["stages"]["export"]["computed"] == 1
+    after = {p.name: rasterio.open(p).tags()["TILER_INPUTS"] for p in (tmp_path / "out" / "dtm").iterdir()}
+    assert after.items() > tags.items()
+
+
+def test_blocks_of_an_earlier_run_are_removed_by_tasks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a wider limit filled pixels between two sites, a narrower one leaves nothing."""
+    west, south = 500_000, 5_000_000
+    inputs = [site(tmp_path / f"{i}.las", west + 1500 * i, south) for i in (0, 1)]
+    how = {**KEEP, "resolution": "1"}
+    do(inputs, tmp_path / "out", **{**how, "max_edge": "2500"})
+    monkeypatch.setattr(TileStore, "write_block", not_by_the_command(TileStore.write_block))
+    do(inputs, tmp_path / "out", **how)
+    do(inputs, tmp_path / "alone", **how)
+    filled = [dtm(tmp_path / name)[0] != -9999 for name in ("out", "alone")]
+    assert (filled[0] == filled[1]).all()
+    kept, alone = (the_store(tmp_path / name).stored_blocks("dtm") for name in ("out", "alone"))
+    assert kept == alone
+
+
+def not_by_the_command(write: Any) -> Any:
+    """`TileStore.write_block`, which the stages that list tasks may not call."""
+
+    def checked(*arguments: Any) -> None:
+        callers = {Path(frame.filename).name for frame in inspect.stack()}
+        assert "perform.py" in callers
+        write(*arguments)
+
+    return checked

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -88,12 +88,12 @@ class Lattice:
 
     size: Fraction
 
-    @property
+    @cached_property
     def p(self) -> int:
         """Numerator of the cell size in counts."""
         return self.size.numerator
 
-    @property
+    @cached_property
     def q(self) -> int:
         """Denominator of the cell size in counts."""
         return self.size.denominator

@@ -1,0 +1,186 @@
+"""Many small files, and many buckets: open files, memory of the command, seconds.
+
+    python tests/benchmarks/many_files.py files FOLDER 5000 --workers 2
+    python tests/benchmarks/many_files.py buckets 100000
+
+`files` makes a folder of files of 2,000 points side by side, runs the whole job on it as a command and looks at its
+process ten times a second. `buckets` has no points: it makes what the finished ingest of so many buckets tells, and
+times what the command does with it: cutting tiles, listing the tasks of each stage with their digests, and a
+worker's look at the index.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import psutil
+from pyproj import CRS
+
+SIDE_M, POINTS = 40.0, 2000
+PAUSE = 0.1
+
+
+def make_files(folder: Path, number: int) -> None:
+    """Files of `POINTS` points on a plain, side by side."""
+    folder.mkdir(parents=True, exist_ok=True)
+    across = int(np.ceil(np.sqrt(number)))
+    random = np.random.default_rng(1)
+    for i in range(number):
+        path = folder / f"{i:06d}.laz"
+        if path.exists():
+            continue
+        x, y = random.random((2, POINTS)) * SIDE_M
+        header = laspy.LasHeader(point_format=6, version="1.4")
+        header.offsets = [500_000 + SIDE_M * (i % across), 5_000_000 + SIDE_M * (i // across), 0]
+        header.scales = [0.01] * 3
+        header.add_crs(CRS.from_epsg(25832))
+        las = laspy.LasData(header)
+        las.x, las.y = x + header.offsets[0], y + header.offsets[1]
+        las.z = 100 + 0.02 * x + random.random(POINTS) * 0.02
+        las.return_number[:] = 1
+        las.number_of_returns[:] = 1
+        las.classification[:] = 2
+        las.write(path)
+
+
+def run_files(folder: Path, number: int, workers: int, *options: str) -> dict[str, Any]:
+    """Seconds, and what the command's own process held at most."""
+    make_files(folder / "in", number)
+    out = folder / "out"
+    command = [
+        sys.executable, "-m", "cli.main", "run", str(folder / "in"), "-o", str(out), "--workers", str(workers),
+        *options,
+    ]  # fmt: skip
+    start = time.monotonic()
+    with open(folder / "log.txt", "w", encoding="utf-8") as log:
+        process = subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ})
+        look, memory, files, workers_files, cpu = psutil.Process(process.pid), 0, 0, 0, 0.0
+        while process.poll() is None:
+            try:
+                memory, files = max(memory, look.memory_info().rss), max(files, look.num_fds())
+                cpu = look.cpu_times().user + look.cpu_times().system
+                workers_files = max(
+                    [workers_files, *(child.num_fds() for child in look.children(recursive=True))]
+                )
+            except psutil.Error:
+                pass
+            time.sleep(PAUSE)
+    seconds = time.monotonic() - start
+    summary = json.loads((out / "run.json").read_text())
+    return {
+        "files": number, "code": process.returncode, "seconds": round(seconds, 1),
+        "seconds_per_1000_files": round(seconds / number * 1000, 1), "command_cpu_seconds": round(cpu, 1),
+        "command_rss_mb": round(memory / 1e6),
+        "command_open_files": files, "worker_open_files": workers_files,
+        "stages": {name: [s["tasks"], s["seconds"]] for name, s in summary["stages"].items()},
+    }  # fmt: skip
+
+
+def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
+    """What the command does of a run of many buckets but wait for its workers; or its memory, as tracing takes time."""
+    from dataclasses import replace
+    from fractions import Fraction
+    from tempfile import TemporaryDirectory
+
+    from tiler.config import RunConfig
+    from tiler.core.lattice import Bounds, Cell
+    from tiler.file_tasks import Inputs, cog_tasks, mosaic_tasks
+    from tiler.plan import make_plan
+    from tiler.product_tasks import Gridding, raster_tasks
+    from tiler.store import BucketInfo, create_store
+    from tiler.tasks import Assembled, Source, filter_tasks, label_digests
+
+    facts: dict[str, Any] = {"buckets": number}
+
+    def timed(name: str, work: Any) -> Any:
+        start = time.monotonic()
+        result = work()
+        facts[name] = round(time.monotonic() - start, 2)
+        return result
+
+    with TemporaryDirectory() as scratch:
+        make_files(Path(scratch) / "in", 1)
+        config = RunConfig.from_mapping({"products": ["dtm", "hillshade", "density"], "sheets": "1000"})
+        plan = make_plan([str(Path(scratch) / "in")], config)
+        side = int(np.ceil(np.sqrt(number)))
+        west, south = (int(plan.meta.bucket.index_of(v)) for v in plan.extent.to_json()[:2])
+        cells = [Cell(west + i % side, south + i // side) for i in range(number)]
+        plan = replace(plan, meta=replace(plan.meta, bucket=plan.meta.bucket), tile=Fraction(512))
+        lattice = plan.meta.bucket
+        if memory:
+            tracemalloc.start()
+        records = {
+            c: {
+                "cell": [c.ix, c.iy],
+                "n": 100_000,
+                "n_candidates": 40_000,
+                "bounds": lattice.bounds(c).to_json(),
+            }
+            for c in cells
+        }
+        assembled = Assembled(records, {c: f"{i:032x}" for i, c in enumerate(cells)})
+        store = create_store(str(Path(scratch) / "store.zarr"), plan.meta)
+        timed("allocate_and_publish", lambda: (
+            store.allocate(dict.fromkeys(cells, 100_000)),
+            store.publish_index({c: BucketInfo(100_000, 40_000) for c in cells}),
+        ))  # fmt: skip
+        tasks = timed("filter_tasks", lambda: list(filter_tasks(plan, assembled, 0, {}, assembled.digests)))
+        facts["tiles"] = len(tasks)
+        labels = timed("label_digests", lambda: label_digests(assembled, {}))
+        g = Gridding(plan, assembled, labels)
+        for name in ("dtm", "hillshade", "density"):
+            made = timed(f"tasks_{name}", lambda name=name: list(raster_tasks(name, g)))
+            g.made[name] = {t.key: (t.digest, {"checksum": t.digest, "filled": 1}) for t in made}
+        facts["blocks"] = len(g.made["dtm"])
+        spooled = {
+            f"s{i:06d}-{0:012d}": ("", {"buckets": [[c.ix, c.iy, 1] for c in cells[i * 20 : i * 20 + 20]]})
+            for i in range(number // 20)
+        }
+        sources = [Source(plan.sources[0], i, f"{i:032x}") for i in range(number // 20)]
+        facts["sheets"] = len(timed("tasks_sheets", lambda: list(
+            cog_tasks(g, Inputs.of(sources, spooled), "x", scratch)
+        )))  # fmt: skip
+        timed("tasks_vrt", lambda: list(mosaic_tasks(g, "x", scratch)))
+        if memory:
+            return {"tables_and_tasks_mb": round(tracemalloc.get_traced_memory()[1] / 1e6)}
+        bounds = lattice.bounds(cells[number // 2])
+        window = Bounds(*bounds.to_json()).pad(300_000)
+        store.buckets_within(window)
+        start = time.monotonic()
+        for _ in range(100):
+            store.buckets_within(window)
+        facts["ms_of_a_window"] = round((time.monotonic() - start) * 10, 2)
+        timed("all_buckets", store.buckets)
+    return facts
+
+
+def main() -> None:
+    """Print facts as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("files", "buckets"))
+    parser.add_argument("arguments", nargs="*")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--option", action="append", default=[])
+    settings = parser.parse_args()
+    if settings.what == "files":
+        folder, number = settings.arguments
+        found = run_files(Path(folder), int(number), settings.workers, *settings.option)
+    else:
+        number = int(settings.arguments[0])
+        found = simulate_buckets(number)
+        found |= simulate_buckets(number, memory=True)
+    print(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()
