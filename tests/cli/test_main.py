@@ -89,9 +89,9 @@ def test_interrupt(
     assert capsys.readouterr().err.strip() == "tiler: interrupted; the same command goes on where it was"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signals_end_a_process_with_130(number: signal.Signals, tmp_path: Path) -> None:
-    (tmp_path / "waiting.py").write_text(
+def waiting(folder: Path) -> subprocess.Popen[str]:
+    """A command that is at work, in a process of its own."""
+    (folder / "waiting.py").write_text(
         "import sys, time\n"
         "from unittest import mock\n"
         "import tiler.info\n"
@@ -103,15 +103,41 @@ def test_signals_end_a_process_with_130(number: signal.Signals, tmp_path: Path) 
         "    sys.exit(main(['info', 'x']))\n"
     )
     process = subprocess.Popen(
-        [sys.executable, tmp_path / "waiting.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        [sys.executable, folder / "waiting.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def end_of(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Exit code and last words; whatever becomes of it, it is gone afterwards."""
+    try:
+        _, error = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.communicate()
+    return process.returncode, error.strip()
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_a_process_with_130(number: signal.Signals, tmp_path: Path) -> None:
+    process = waiting(tmp_path)
     process.send_signal(number)
-    _, error = process.communicate(timeout=600)
-    assert process.returncode == 130
-    assert error.strip() == "tiler: interrupted"
+    assert end_of(process) == (130, "tiler: interrupted")
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_in_the_background_of_a_script_ctrl_c_is_ignored(tmp_path: Path) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts such a job
+    process = waiting(tmp_path)
+    process.send_signal(signal.SIGINT)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(0.5)
+    process.send_signal(signal.SIGTERM)
+    assert end_of(process) == (130, "tiler: interrupted")
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
@@ -63,12 +64,27 @@ def wait_for(out: Path, event: str, stage: str, process: subprocess.Popen[str]) 
     raise AssertionError(f"no {event} of {stage}")
 
 
-def start(cloud: Path, out: Path) -> subprocess.Popen[str]:
-    """The command at the head of a process group of its own, as a shell starts it."""
-    return subprocess.Popen(
-        command("run", cloud, "-o", out, *OPTIONS), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env=environment(), start_new_session=True,
-    )  # fmt: skip
+Start = Callable[[Path, Path], subprocess.Popen[str]]
+
+
+@pytest.fixture
+def start(interruptible: None) -> Iterator[Start]:
+    """The command at the head of a process group of its own, as a shell starts it; what a test leaves is ended."""
+    started: list[subprocess.Popen[str]] = []
+
+    def begin(cloud: Path, out: Path) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            command("run", cloud, "-o", out, *OPTIONS), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            env=environment(), start_new_session=True,
+        )  # fmt: skip
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
 
 
 def all_gone(group: list[psutil.Process]) -> bool:
@@ -84,7 +100,7 @@ def all_gone(group: list[psutil.Process]) -> bool:
     ],
 )
 def test_an_interrupt_ends_it_and_the_command_goes_on(
-    interrupt: signal.Signals, cloud: Path, undisturbed: dict[str, str], tmp_path: Path
+    interrupt: signal.Signals, start: Start, cloud: Path, undisturbed: dict[str, str], tmp_path: Path
 ) -> None:
     """Either goes to every process: by the terminal to its group, by a batch system to all of a job."""
     stage = "filter0"
@@ -105,7 +121,9 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
 
 
 @pytest.mark.slow  # tests/invariants/test_kill.py does it by default, in one process
-def test_kill_of_the_whole_group(cloud: Path, undisturbed: dict[str, str], tmp_path: Path) -> None:
+def test_kill_of_the_whole_group(
+    start: Start, cloud: Path, undisturbed: dict[str, str], tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     process = start(cloud, out)
     wait_for(out, "task_done", "filter0", process)
@@ -116,7 +134,7 @@ def test_kill_of_the_whole_group(cloud: Path, undisturbed: dict[str, str], tmp_p
     goes_on_to_the_same(cloud, out, undisturbed)
 
 
-def test_kill_of_the_command_alone_takes_its_workers_along(cloud: Path, tmp_path: Path) -> None:
+def test_kill_of_the_command_alone_takes_its_workers_along(start: Start, cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = start(cloud, out)
     wait_for(out, "stage_started", "filter0", process)
@@ -127,7 +145,9 @@ def test_kill_of_the_command_alone_takes_its_workers_along(cloud: Path, tmp_path
 
 
 @pytest.mark.slow  # tests/integration/test_failing_tiles.py kills workers by default
-def test_a_worker_that_dies_is_replaced(cloud: Path, undisturbed: dict[str, str], tmp_path: Path) -> None:
+def test_a_worker_that_dies_is_replaced(
+    start: Start, cloud: Path, undisturbed: dict[str, str], tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     process = start(cloud, out)
     wait_for(out, "task_done", "filter0", process)
