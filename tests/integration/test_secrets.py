@@ -148,3 +148,34 @@ def test_no_error_holds_a_secret(
     filled = [str(a).format(p=PASSWORD, t=TOKEN, host=host) for a in arguments]
     assert main([*filled, "-vv"]) in (0, 2, 3, 4)
     assert_secret(tmp_path, *capfd.readouterr())
+
+
+def test_no_object_of_a_store_and_no_result_at_a_url_holds_a_secret(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    logging_as_before: None,
+) -> None:
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    monkeypatch.setattr(MemoryFileSystem, "store", {})
+    monkeypatch.setattr(MemoryFileSystem, "pseudo_dirs", [""])
+    monkeypatch.chdir(tmp_path)
+    clouds.write(tmp_path / "town.laz", clouds.city(60.0))
+    out, store = f"memory://anna:{PASSWORD}@host/out", f"memory://anna:{PASSWORD}@host/elsewhere"
+    call = ["run", "town.laz", "-o", out, "--store", store, "--in-process", *map(str, OPTIONS), "-vv"]
+    call += ["--products", "dtm,slope"]
+    for _ in range(2):
+        assert main(call) == 0
+        assert_secret(tmp_path, *capfd.readouterr())
+    assert (tmp_path / "out" / "report.html").read_text().count("data:image/png;base64,") == 2
+    objects = {key.replace(PASSWORD, ""): file.getvalue() for key, file in MemoryFileSystem.store.items()}
+    assert {
+        "/anna:@host/out/dtm.tif",
+        "/anna:@host/out/run.json",
+        "/anna:@host/elsewhere/zarr.json",
+    } <= objects.keys()
+    for key, content in objects.items():
+        for secret in SECRETS:
+            assert secret not in key
+            assert secret.encode() not in content, key
