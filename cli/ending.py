@@ -8,19 +8,34 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import NoReturn
 
 import psutil
 
 from cli import exit_codes
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE_SECONDS = 4.0
 """After a signal, for what a command has to close and to say; a batch system kills soon after."""
 FORCED = b"tiler: interrupted; what it was at did not stop, so it was ended\n"
 
 
+@dataclass
+class Ending:
+    """Whether a command was told to end: a library that was called may have made another error of that."""
+
+    told: bool = False
+
+    def interrupt(self, number: int, frame: object) -> NoReturn:
+        """Handle SIGINT or SIGTERM; a second one must not disturb the end, of which it is seen to that it comes."""
+        self.told = True
+        signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+
 @contextmanager
-def ended_in_time(own_process: bool) -> Iterator[None]:
+def ended_in_time(own_process: bool) -> Iterator[Ending]:
     """Let SIGTERM interrupt a command as Ctrl-C does, and see to it that it ends within `GRACE_SECONDS` of either.
 
     Python tells of a signal between two of its instructions: not while a library computes, and code that swallows the
@@ -36,13 +51,16 @@ def ended_in_time(own_process: bool) -> Iterator[None]:
     os.set_blocking(writing, False)
     done = threading.Event()
     threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
-    before = signal.signal(signal.SIGTERM, _interrupt)
+    ending, before = Ending(), {number: signal.getsignal(number) for number in SIGNALS}
+    signal.signal(signal.SIGTERM, ending.interrupt)
+    if before[signal.SIGINT] is signal.default_int_handler:  # not ignored, as in the background of a script
+        signal.signal(signal.SIGINT, ending.interrupt)
     woken_before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     try:
-        yield
+        yield ending
     finally:
-        # What is done cannot be interrupted any more: such a signal ends the process at once.
-        signal.signal(signal.SIGTERM, signal.SIG_DFL if own_process else before)
+        for number, handler in before.items():  # what is done cannot be interrupted any more
+            signal.signal(number, handler)
         if not own_process:
             signal.set_wakeup_fd(woken_before)
             done.set()
@@ -70,14 +88,9 @@ def _end_children() -> None:
                 child.kill()
 
 
-def _interrupt(number: int, frame: object) -> NoReturn:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not disturb the end
-    raise KeyboardInterrupt
-
-
 def _watch(reading: int, done: threading.Event) -> None:
     while number := os.read(reading, 1):
-        if number[0] in (signal.SIGINT, signal.SIGTERM) and not done.wait(GRACE_SECONDS):
+        if number[0] in SIGNALS and not done.wait(GRACE_SECONDS):
             _end_children()
             with suppress(OSError):
                 os.write(2, FORCED)

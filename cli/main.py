@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from cli import exit_codes
-from cli.ending import end_at_once, ended_in_time
+from cli.ending import Ending, end_at_once, ended_in_time
 from cli.output import say
 from cli.session import Session
 from cli.streams import open_streams
@@ -90,9 +90,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     own_process = arguments is None
-    with open_streams(own_process), ended_in_time(own_process):
+    with open_streams(own_process), ended_in_time(own_process) as ending:
         try:
-            code = _run(arguments)
+            code = _run(arguments, ending)
         except KeyboardInterrupt:  # while an error was being told
             code = exit_codes.INTERRUPTED
         if own_process and code == exit_codes.INTERRUPTED:
@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
 
 
-def _run(arguments: Sequence[str] | None) -> int:
+def _run(arguments: Sequence[str] | None, ending: Ending) -> int:
     session = Session()
     try:
         code: Any = group.main(arguments, prog_name="tiler", standalone_mode=False, obj=session)
@@ -109,7 +109,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except SystemExit:
         raise
     except BaseException as error:  # noqa: BLE001 - a decoder may panic with what is no Exception
-        return _end(error, session)
+        return _end(KeyboardInterrupt() if ending.told else error, session)
 
 
 def _end(error: BaseException, session: Session) -> int:

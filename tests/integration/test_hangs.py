@@ -137,6 +137,24 @@ sys.exit(main())
 """
 
 
+def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path) -> None:
+    """As a compressor does whose file is written by Python."""
+    script = tmp_path / "error.py"
+    script.write_text(
+        STUCK.format("__import__('time').sleep(60)").replace("pass", "raise ValueError('write')")
+    )
+    process = subprocess.Popen(
+        command()[:1] + [str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
+    )
+    seconds, code, error = end_of(process, after=1.5)
+    assert (code, error) == (130, "tiler: interrupted\n")
+    assert seconds < 2.0
+
+
 @pytest.mark.parametrize(
     "what",
     [
