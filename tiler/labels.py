@@ -81,6 +81,11 @@ def _known(job: Job, step: Pass) -> dict[str, Any]:
         raise ConfigError(
             f"--statistics {job.plan.config.statistics}: that run did not do the pass {step.name}; use the same --kind"
         )
+    kind = job.plan.config.source_kind
+    if kind is not None and found.get("run", {}).get("kind") != kind:
+        job.note(
+            f"--statistics: what made the cloud is as that run took it; --kind {job.plan.config.kind} is not used"
+        )
     return found
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,23 @@ from ptd.passes import Pass
 from tests.integration.test_damaged_store import DAMAGES
 from tests.invariants import clouds
 from tests.invariants.clouds import CORNER, Cloud
+from tests.invariants.forked import ended, forked
 from tests.invariants.runs import computed, do, settings, stored_labels, the_store
-from tests.ptd.medians import METHOD, MeanPass, MedianPass, Parameters, RisingPass, SpreadPass
+from tests.ptd.medians import (
+    METHOD,
+    Census,
+    LaserPass,
+    MeanPass,
+    MedianPass,
+    Parameters,
+    RisingPass,
+    SplitPass,
+    SpreadPass,
+)
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter.reading import Reader
-from tiler.plan import make_plan
-from tiler.store import layout
+from tiler.plan import make_plan, plan_lines, sizes
+from tiler.store import TileStore, layout
 
 NOISE = 7
 STAGES = [f"filter{number}" for number in (0, 3, 4, 5, 6)]
@@ -192,6 +205,33 @@ def test_a_run_that_ended_on_the_way_goes_on(
     assert 0 < again[stage]["done"] < again[stage]["tasks"]
 
 
+def killed_after_writing(path: Path, out: Path) -> None:
+    """A run that ends between what a third task elects or labels and its commit."""
+    METHODS["medians"] = METHOD
+    sizes.BUCKET_POINTS = 500
+    write, calls = TileStore.write_elected, [0]
+
+    def last(self: TileStore, *arguments: Any) -> None:
+        write(self, *arguments)
+        calls[0] += 1
+        if calls[0] == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    TileStore.write_elected = last  # type: ignore[method-assign]
+    filtered(path, out, tile_size="16")
+
+
+def test_a_run_that_was_killed_while_it_elected(scene: Any, file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    filtered(file, out, kind="als", tile_size="16")
+    assert ended(forked(killed_after_writing, file, out)) == -signal.SIGKILL
+    assert len(the_store(out).committed("filter3")) == 2
+    assert not the_store(out).committed("filter2")
+    again = filtered(file, out, tile_size="16").summary["stages"]
+    assert (again["filter3"]["done"], again["filter3"]["tasks"]) == (2, 9)
+    check(out, scene)
+
+
 def test_a_tile_that_fails_elects_nothing(
     file: Path, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -282,6 +322,7 @@ def test_a_part_with_the_statistics_of_the_whole(scene: Any, file: Path, whole: 
     shutil.copytree(laser, tmp_path / "copy")
     result = filtered(file, tmp_path / "out", statistics=str(tmp_path / "copy"), kind="dim")
     assert "filter1" in result.summary["stages"]  # as that run decided
+    assert any("--kind dim is not used" in note for note in result.summary["notes"])
 
 
 def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
@@ -293,7 +334,34 @@ def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
     assert by_name["medians"].sometimes
     assert not by_name["census"].sometimes
     spread = by_name["spread"]
+    assert "; not all of them apply to every cloud" in " ".join(plan_lines(plan))
     assert plan.filter_peak(spread, 64, 8) > plan.filter_peak(by_name["rising"], 64, 8)
+
+
+def test_passes_of_another_branch_make_no_tile_smaller(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where memory cuts them, too."""
+
+    def plans() -> list[Any]:
+        found = []
+        for memory in ("420MiB", "500MiB", "1GiB"):
+            plan = make_plan(
+                [str(file)], settings(method="medians", tile_size=None, halo=None, memory=memory)
+            )
+            found.append((float(plan.tile), plan.halo_m, plan.margin))
+        return found
+
+    with monkeypatch.context() as patch:
+        wide = [SplitPass(), LaserPass()]
+        for step in wide:
+            step.reach_m = 20.0
+        patch.setattr(Parameters, "passes", (Census(), *wide))
+        patch.setattr(Parameters, "candidate_cell_m", 0.0)
+        laser = plans()
+        assert laser[0][0] < laser[2][0] == 512
+        patch.setattr(
+            Parameters, "passes", (Census(), *wide, MedianPass(), RisingPass(), SpreadPass(), MeanPass())
+        )
+        assert plans() == laser
 
 
 def test_statistics_of_a_run_that_did_other_passes(

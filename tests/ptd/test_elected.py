@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import ptd
+from ptd.frame import Scale
 from ptd.methods import METHODS
-from ptd.passes import Method
+from ptd.passes import Method, Points
 from tests.ptd import medians
 from tests.ptd.medians import METHOD, Parameters
+from tests.ptd.tiling import classify_tiled
 
 
 @pytest.fixture(autouse=True)
@@ -59,6 +61,18 @@ def test_points_elected_by_a_pass_are_what_later_passes_see_and_label(xyz: np.nd
     assert list(result.stats) == ["census", "medians", "rising", "spread", "mean"]
     assert 550 < result.stats["medians"]["cells"] == result.stats["rising"]["elected"] <= 24**2
     assert result.decisions["statistics"]["run"] == {"rgb": False, "sigma_m": None, "kind": "dim"}
+
+
+@pytest.mark.parametrize("tile_m", [None, 3.0, 8.0, 11.0])
+def test_tiles_in_memory_do_not_show(tile_m: float | None, xyz: np.ndarray) -> None:
+    scale = Scale(origin=(500_000_000, 5_400_000_000))
+    counts = (np.rint(1000 * xyz).astype(np.int64) - [500_000_000, 5_400_000_000, 0]).astype(np.int32)
+    points = Points(np.ascontiguousarray(counts.T))
+    labels, marks, _ = classify_tiled(points, scale, Parameters(), tile_m, kind="dim")
+    assert np.array_equal(labels, expected(xyz))
+    assert not marks.any()
+    labels, _, state = classify_tiled(points, scale, Parameters(), tile_m, kind="lidar")
+    assert np.array_equal(labels, np.where(counts[:, 2] > state["mean"], 1, 2))
 
 
 @pytest.mark.parametrize("kind", [None, "lidar"])

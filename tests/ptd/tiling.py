@@ -10,7 +10,7 @@ import numpy as np
 
 from ptd.cells import lowest_per_cell
 from ptd.frame import OPEN, Cells, Scale, Window
-from ptd.passes import Pass, Points, RunFacts
+from ptd.passes import Pass, Points, RunFacts, later_passes
 
 
 def inside(points: Points, window: Window) -> np.ndarray:
@@ -30,35 +30,55 @@ def classify_tiled(
     tile_m: float | None,
     halo_m: float = 0.0,
     sigma_m: float | None = None,
+    kind: str | None = None,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Labels, marks and the last state; ``tile_m`` None: the cloud as one window with nothing beyond it.
 
     Windows are core and halo, widened to whole cells of `align_m`, and by `margin_m`; their sides are open where the
     cloud ends. A pass with a fixed reach sees just that around a core. As in `tiler.filter`, a pass sees one candidate
     per `candidate_cell_m` unless it wants every point, and a marked label in the window of a pass that reads labels
-    marks the whole core.
+    marks the whole core. Elected points of a core are those of its bounds; a pass on such points that is not the last
+    labels them.
     """
     n = len(points)
     labels, marks = np.zeros(n, np.uint8), np.zeros(n, bool)
-    state: dict[str, Any] = {"run": asdict(RunFacts(points.rgb is not None, sigma_m))}
-    for step in params.passes:
-        given = _given(points, step, labels)
-        found, doubtful = np.zeros(n, np.uint8), np.zeros(n, bool)
+    elected, codes, doubts = Points(np.zeros((3, 0), np.int32)), np.zeros(0, np.uint8), np.zeros(0, bool)
+    state: dict[str, Any] = {"run": asdict(RunFacts(points.rgb is not None, sigma_m, kind))}
+    for number, step in enumerate(params.passes):
+        if not step.applies(state):
+            continue
+        last = step.gives_labels and not later_passes(params.passes, number, state)
+        sees, of_elected = _given(elected, step, codes), step.elected and not last
+        given = sees if of_elected else _given(points, step, labels)
+        found, doubtful = np.zeros(len(given), np.uint8), np.zeros(len(given), bool)
+        made = []
         partials = []
         for core, window in _windows(points, scale, params, step, tile_m, halo_m):
-            seen = np.flatnonzero(inside(points, window))
-            own = np.flatnonzero(inside(points, core))
-            if not own.size:
+            own = np.flatnonzero(inside(given, core))
+            if not inside(points, core).any():
                 continue
-            if params.candidate_cell_m and not step.every_point:
+            seen = np.flatnonzero(inside(sees if step.elected else points, window))
+            if params.candidate_cell_m and not step.every_point and not step.elected:
                 x, y, z = (np.ascontiguousarray(c) for c in points.xyz[:, seen])
                 seen = seen[lowest_per_cell(x, y, z, Cells.of(params.candidate_cell_m, scale))]
-            model = step.fit(given.take(seen), window, core, scale, state)
+            model = step.fit((sees if step.elected else given).take(seen), window, core, scale, state)
             partials.append(model.partial())
+            if step.elects:
+                made.append(model.elect(core))
             if step.gives_labels:
-                found[own], doubtful[own] = model.label(given.take(own))
-                doubtful[own] |= "labels" in step.columns and bool(marks[seen].any())
-        if step.gives_labels:
+                reach = math.ceil(scale.counts(step.label_margin_m))
+                wide = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
+                around = np.flatnonzero(inside(given, wide) & ~inside(given, core))
+                got, doubt = model.label(given.take(np.concatenate([own, around])))
+                found[own], doubtful[own] = got[: own.size], doubt[: own.size]
+                before = doubts if step.elected else marks
+                doubtful[own] |= "labels" in step.columns and bool(before[seen].any())
+        if step.elects:
+            elected = Points(np.concatenate(made, axis=1))
+            codes, doubts = np.zeros(len(elected), np.uint8), np.zeros(len(elected), bool)
+        if step.gives_labels and of_elected:
+            codes, doubts = found, doubtful
+        elif step.gives_labels:
             labels, marks = found, doubtful
         state = step.reduce(partials, state)
     return labels, marks, state

@@ -82,7 +82,8 @@ def _passes_in_words(passes: tuple[PlannedPass, ...]) -> str:
     """Number of passes, and what each sees around a tile where there are several."""
     if len(passes) < 2:
         return ", 1 pass" if passes else ""
-    return f", {len(passes)} passes, halo: " + ", ".join(f"{step.name} {step.halo_m:g} m" for step in passes)
+    text = f", {len(passes)} passes, halo: " + ", ".join(f"{step.name} {step.halo_m:g} m" for step in passes)
+    return text + ("; not all of them apply to every cloud" if any(step.sometimes for step in passes) else "")
 
 
 def crs_name(wkt: str | None) -> str:
