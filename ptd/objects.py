@@ -19,21 +19,15 @@ import numpy as np
 from ptd.cells import Int32, Int64
 from ptd.frame import Cells, Scale
 from ptd.morphology import (
-    EMPTY,
     Bool,
     CellRaster,
     Float64,
-    open_with_disk,
     steepest_drops,
 )
 from ptd.slopes import box_means, slopes
 
 BLOCK_CELLS = 2048
 """Side of the blocks in which rasters are made, without what lies around them within reach."""
-
-PIT_RADIUS = 1.5
-"""Cells: a disk of it is a square of 3 x 3."""
-PIT_REACH = 2
 
 
 @dataclass(frozen=True)
@@ -116,18 +110,6 @@ class Lowest:
     def heights(self, which: Bool) -> Int32:
         """Raster of the heights of some points: int32."""
         return self.raster.lowest(self.z, which)
-
-    def pits(self, which: Bool, depth_m: float) -> Bool:
-        """Which of the chosen points lie so far below their raster closed with a square of 3 x 3 cells: bool [n].
-
-        Nothing farther than `PIT_REACH` cells has a part in the answer.
-        """
-        heights = self.heights(which)
-        filled = heights != EMPTY
-        depths = np.where(filled, -heights, EMPTY).astype(np.int32)
-        below = filled & (depths - open_with_disk(depths, PIT_RADIUS) > self.scale.counts_z(depth_m))
-        found: Bool = below.reshape(-1)[self.raster.keys] & which
-        return found
 
     def steep_objects(self, which: Bool, drop: Drop, shape: Shape) -> Bool:
         """Which points lie in cells where the surface of the chosen points drops like an object: bool [n]."""

@@ -20,6 +20,7 @@ average is a quartile.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -45,6 +46,10 @@ REACH_M = PATCH_M * (REACH_CELLS + 1)
 LEAST_SHARE = 0.005
 """Least share of planar patches among cells with enough points: in a wood the few that look planar tell nothing."""
 BIN_M = 0.001
+CELL_POINTS = 12
+"""Least points of a quarter of a patch whose plane says how rough it is."""
+SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
+"""Noise from what is smoothest, whatever stands on the ground: this quantile of all quarters of patches, times this."""
 TALLEST_M = 8.0
 """Patches whose points span more height are no planes; keeps the sums small."""
 
@@ -63,11 +68,15 @@ class Roughness:
         Noise of heights, metres; None if there is no planar patch, or next to none.
     patches : int
         How many planar patches there are, on which it rests.
+    smoothest_m : float or None
+        Noise of the smoothest places, metres, with no test of what they are: there are some in any dense cloud. None if
+        no quarter of a patch has enough points.
     """
 
     density_m2: float
     sigma_m: float | None
     patches: int
+    smoothest_m: float | None = None
 
 
 @kernel
@@ -149,6 +158,21 @@ def _patches(
 
 
 @kernel
+def _quarters(sums: Int64, z_ratio: float) -> Float64:
+    """Root mean square of the vertical residuals of the quarters from their planes (-1: too few points)."""
+    noise = np.full((sums.shape[0], 4), -1.0)
+    for k in range(sums.shape[0]):
+        for quarter in range(4):
+            n = sums[k, quarter, 0]
+            if n < CELL_POINTS or sums[k, quarter, 9] == 0:
+                continue
+            squares = fit_plane(sums[k, quarter], z_ratio)[3]
+            if squares >= 0.0:
+                noise[k, quarter] = math.sqrt(squares / (n - 3))
+    return noise
+
+
+@kernel
 def _drop_bent(
     x: Int32, y: Int32, z: Int32, slot: Int64, corner_x: Int64, corner_y: Int64, low: Int64, planes: Float64,
     noise: Float64, z_ratio: float,
@@ -208,12 +232,12 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     Returns
     -------
     dict
-        ``points``, ``cells`` (of `PATCH_M`, with any point), ``full`` (with at least `MIN_POINTS`) and ``patches``:
-        [[bin, count], ...] with bins of `BIN_M`.
+        ``points``, ``cells`` (of `PATCH_M`, with any point), ``full`` (with at least `MIN_POINTS`), ``patches`` and
+        ``quarters``: [[bin, count], ...] with bins of `BIN_M`.
     """
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
     if x.size == 0:
-        return {"points": 0, "cells": 0, "full": 0, "patches": []}
+        return {"points": 0, "cells": 0, "full": 0, "patches": [], "quarters": []}
     cells = Cells.of(PATCH_M, scale)
     inside = core.has(x, y)
     # A margin of columns around the occupied ones, so that a key beside the raster is no cell of another row.
@@ -232,33 +256,44 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     side, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
     ground = _drop_raised(keys, width, corner_x, corner_y, low, sums, planes, noise, side, drop, ratio)
     own = inside[first]
-    bins = (noise[own & ground] / scale.counts(BIN_M)).astype(np.int64)
-    found, counts = np.unique(bins, return_counts=True)
+    quarters = _quarters(sums[own], ratio)
     return {
         "points": int(inside.sum()),
         "cells": int(own.sum()),
         "full": int(np.count_nonzero(sums[own, :, 0].sum(axis=1) >= MIN_POINTS)),
-        "patches": [[int(b), int(n)] for b, n in zip(found, counts, strict=True)],
+        "patches": _binned(noise[own & ground], scale),
+        "quarters": _binned(quarters[(quarters >= 0.0) & (quarters < scale.counts(LARGEST_SIGMA_M))], scale),
     }
+
+
+def _binned(noise: Float64, scale: Scale) -> list[list[int]]:
+    """Values in horizontal counts as [[bin, count], ...]."""
+    found, counts = np.unique((noise / scale.counts(BIN_M)).astype(np.int64), return_counts=True)
+    return [[int(b), int(n)] for b, n in zip(found, counts, strict=True)]
 
 
 def merge(partials: Iterable[Mapping[str, Any]]) -> Roughness:
     """The run's figures from those of all cores, in any order."""
     points = cells = full = 0
-    histogram: dict[int, int] = {}
+    patches: Counter[int] = Counter()
+    quarters: Counter[int] = Counter()
     for partial in partials:
         points, cells = points + int(partial["points"]), cells + int(partial["cells"])
         full += int(partial["full"])
-        for index, count in partial["patches"]:
-            histogram[int(index)] = histogram.get(int(index), 0) + int(count)
+        patches.update({int(index): int(count) for index, count in partial["patches"]})
+        quarters.update({int(index): int(count) for index, count in partial["quarters"]})
     density = points / (cells * PATCH_M**2) if cells else 0.0
-    patches, sigma = sum(histogram.values()), None
-    if patches < LEAST_SHARE * full:
-        return Roughness(density, None, patches)
+    smoothest = _quantile(quarters, SMOOTHEST_SHARE)
+    smoothest = None if smoothest is None else round(SMOOTHEST_FACTOR * smoothest, 6)
+    sigma = None if patches.total() < LEAST_SHARE * full else _quantile(patches, 0.25)
+    return Roughness(density, sigma, patches.total(), smoothest)
+
+
+def _quantile(histogram: Counter[int], share: float) -> float | None:
+    """The value below which so much of a histogram with bins of `BIN_M` lies; None of an empty one."""
     below = 0
     for index in sorted(histogram):
         below += histogram[index]
-        if 4 * below >= patches:
-            sigma = round((index + 0.5) * BIN_M, 6)
-            break
-    return Roughness(density, sigma, patches)
+        if below >= share * histogram.total():
+            return round((index + 0.5) * BIN_M, 6)
+    return None

@@ -1,7 +1,10 @@
-"""``auto``: morphological seeds, a few rounds of densification, removal of what still rises like an object.
+"""``auto``: decides from the cloud what made it, and finds the ground of laser scans and of matched clouds in two ways.
 
-A method of our own, the default: one setting for all clouds, what has to differ is decided from the cloud. It works on
-the lowest point of each cell of 1 m. Figures, why there are passes and how far each sees: ``ptd/DESIGN.md``.
+A method of our own, the default: one setting for all clouds, what has to differ is decided from the cloud. In matched
+clouds (photogrammetry) heights scatter to both sides and blunders lie below, so a robust height per cell, large objects
+as wholes and a surface of limited curvature find the ground: `ptd.matched`. What follows here is for laser scans, and
+works on the lowest point of each cell of 1 m: morphological seeds, a few rounds of densification, removal of what still
+rises like an object. Figures, why there are passes and how far each sees: ``ptd/DESIGN.md``.
 
 survey
     density, noise, returns, and what is seen through (`ptd.penetration`): laser scanning or image matching
@@ -25,8 +28,8 @@ parameter             origin                      default   reason
 max_building_size     Chen 2023; Zhang 2003       36 m      wide enough for halls of towns; wider openings cut hill tops
 thin_cell             as `classic`                1 m       the terrain's detail; noise of dense clouds averages to its
                                                             lower side
-low_radius, _depth,   as `classic`                5 m, 4 m, image matching: groups of 30 that are half as deep, as its
-low_group                                         5         blunders are; and pits of 3 x 3 cells deeper than 0.5 m
+low_radius, _depth,   as `classic`                5 m, 4 m, groups of more are no noise of a laser
+low_group                                         5
 seed_drop, _rise,     Pingel 2013 (slope, scale)  0.05 m,   noise; ground that rises by 0.06 beside flat ground is kept;
 _slope                                            0.06, 0.2 a fifth of the slope more on slopes
 slope_reach           ours                        9 m       boxes of 19 m see past a house's wall
@@ -61,7 +64,7 @@ roof_share, _unseen   ours                        0.9, 0.6  terrain goes on some
 roof_area             ours                        80 m2     what is smaller was opened before
 label_floor           as `classic`                0.24 m    below 1 point/m2: rough ground between sparse points against
                                                             low plants; from 2 on 0.05 m and three times the noise,
-                                                            from 0.12 m to this (image matching: 0.2 m to twice this)
+                                                            from 0.12 m to this
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
                                                             points/m2 on
 ====================  ==========================  ========  ============================================================
@@ -83,9 +86,10 @@ from ptd.certify import Doubt
 from ptd.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.frame import Cells, Scale, Window
 from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
+from ptd.matched import passes as matched
 from ptd.methods.auto_settings import RING_M, AutoParameters, Seen, decided, settings
 from ptd.morphology import Bool, CellRaster
-from ptd.objects import PIT_REACH, Lowest, blocks
+from ptd.objects import Lowest, blocks
 from ptd.outliers import low_outliers
 from ptd.passes import Int32, Measured, Method, Model, Pass, Points, State, UInt8
 from ptd.plateaus import on_plateaus
@@ -116,6 +120,7 @@ class Auto(AutoParameters):
                 for n in range(1, self.roof_rounds + 1)
             ),
             LabelPass(self),
+            *matched.PASSES,
         )
 
 
@@ -133,7 +138,7 @@ class SurveyPass(Pass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         """Count."""
         counts = {"told": 0, "several": 0, "looks": 0, "through": 0}
-        if state["run"]["rgb"]:  # without colours it is no image matching
+        if state["run"].get("kind") is None:
             counts |= penetration.seen_through(points.xyz, core, scale)
         if points.returns is not None:
             x, y = points.xyz[:2]
@@ -152,7 +157,16 @@ class SurveyPass(Pass):
 
 
 @dataclass(frozen=True)
-class SeedPass(Pass):
+class LaserPass(Pass):
+    """A pass that only laser scans need."""
+
+    def applies(self, state: State) -> bool:
+        """Not where the survey took the run for image matching."""
+        return "survey" not in state or not matched.is_matched(state)
+
+
+@dataclass(frozen=True)
+class SeedPass(LaserPass):
     """Cells are low outliers, objects or seeds."""
 
     params: Auto
@@ -162,17 +176,13 @@ class SeedPass(Pass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Open the minimum raster with growing disks."""
         p = self.params
-        cells, s = Cells.of(p.thin_cell_m, scale), settings(p, state["survey"])
+        cells = Cells.of(p.thin_cell_m, scale)
         x, y, z, _ = lowest_points(points, cells)
-        outlier = low_outliers(x, y, z, scale, p.low_radius_m, s.low_depth_m, s.low_group)
+        outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
         codes = np.where(outlier, np.uint8(OUTLIER), np.uint8(SEED))
-        for index, inner in blocks(x, y, cells, p.shape.reach + PIT_REACH):
+        for index, inner in blocks(x, y, cells, p.shape.reach):
             low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)
             present = ~outlier[index]
-            if s.pit_depth_m is not None:
-                pits = low.pits(present, s.pit_depth_m)
-                codes[index[pits & inner]] = OUTLIER
-                present &= ~pits
             rises = low.steep_objects(present, p.seed_drop, p.shape) & present
             codes[index[rises & inner]] = OBJECT
         found = {"low_outliers": int((codes == OUTLIER).sum()), "seeds": int((codes == SEED).sum())}
@@ -182,7 +192,7 @@ class SeedPass(Pass):
 
 
 @dataclass(frozen=True)
-class DensifyPass(Pass):
+class DensifyPass(LaserPass):
     """The TIN of the seeds takes in cells of objects that fit."""
 
     params: Auto
@@ -207,7 +217,7 @@ class DensifyPass(Pass):
 
 
 @dataclass(frozen=True)
-class RefinePass(Pass):
+class RefinePass(LaserPass):
     """Ground cells that rise from the ground found are no ground."""
 
     params: Auto
@@ -241,7 +251,7 @@ def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
 
 
 @dataclass(frozen=True)
-class RoofPass(Pass):
+class RoofPass(LaserPass):
     """Surfaces of ground above all that is seen around them are roofs."""
 
     params: Auto
@@ -268,7 +278,7 @@ class RoofPass(Pass):
 
 
 @dataclass(frozen=True)
-class LabelPass(Pass):
+class LabelPass(LaserPass):
     """Every point against the TIN of the ground."""
 
     params: Auto

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 
 from ptd.criteria import Limits
 from ptd.frame import Scale
+from ptd.matched.passes import GROUND_M
 from ptd.methods.progressive import Progressive
-from ptd.objects import PIT_REACH, Drop, Residuals, Shape
+from ptd.objects import Drop, Residuals, Shape
 from ptd.outliers import search_margin
 from ptd.params import check, like, parameter
 from ptd.plateaus import Plateaus
@@ -31,14 +32,11 @@ CUT_SIZE = 0.6
 SEEN_THROUGH_SHARE = 0.01
 """Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be:
 0.001 (open mountains) to 0.23 in laser scans, 0 to 0.004 in matched ones."""
-DIM_GROUP, DIM_DEPTH = 6, 0.5
-"""Blunders of image matching come in larger groups than a laser's low points, and nearer to the ground."""
-DIM_FLOOR_M = 0.2
-"""Least floor of the last pass for image matching: errors of neighbours are alike, which patches do not see."""
-DIM_MOST = 2.0
-"""Floor of the last pass for image matching in parts of ``label_floor_m`` at most: its noise may be that large."""
-DIM_PIT_M = 0.5
-"""Depth of pits that image matching leaves in the surface."""
+MATCHED_M2 = 4.0
+"""Points per square metre from which on a cloud without returns can be told as matched by what is seen through."""
+LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M = 0.03, 0.25
+"""Noise that the rules of matched clouds start from: errors of neighbours are alike, which planes do not see; and among
+trees nothing is smooth."""
 SPARSE_M2, DENSE_M2 = 1.0, 2.0
 """Points per square metre up to which the last pass is as the parameters say, and from which it is as narrow as the
 noise allows."""
@@ -229,7 +227,7 @@ class AutoParameters:
     @property
     def seed_reach(self) -> int:
         """Cells beyond which nothing has a part in what a cell is after the pass `seeds`."""
-        return self.shape.reach + PIT_REACH + search_margin(self.low_radius_m, 1, self.thin_cell_m)
+        return self.shape.reach + search_margin(self.low_radius_m, 1, self.thin_cell_m)
 
     @property
     def refine_reach(self) -> int:
@@ -297,25 +295,18 @@ class Seen(NamedTuple):
 class Settings:
     """What the parameters come to in a run."""
 
-    low_depth_m: float
-    low_group: int
-    pit_depth_m: float | None
     label_floor_m: float
     label_slope_m: float
 
 
 def settings(params: AutoParameters, survey: Mapping[str, Any]) -> Settings:
     """Thresholds for a run, from what `decided` says of it."""
-    dim, sigma = survey["kind"] == DIM, survey["label_sigma_m"]
+    sigma = survey["label_sigma_m"]
     dense = min(max((survey["density_m2"] - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
     floor = params.label_floor_m
     if sigma is not None:
-        least, most = (DIM_FLOOR_M, DIM_MOST * floor) if dim else (DENSE_FLOOR_M, floor)
-        floor = min(max(least, FLOOR_BASE_M + FLOOR_SIGMAS * sigma), most)
+        floor = min(max(DENSE_FLOOR_M, FLOOR_BASE_M + FLOOR_SIGMAS * sigma), floor)
     return Settings(
-        low_depth_m=params.low_depth_m * (DIM_DEPTH if dim else 1.0),
-        low_group=params.low_group * (DIM_GROUP if dim else 1),
-        pit_depth_m=DIM_PIT_M if dim else None,
         label_floor_m=params.label_floor_m + dense * (floor - params.label_floor_m),
         label_slope_m=params.label_slope_m * (1.0 - dense * (1.0 - DENSE_SLOPE)),
     )
@@ -338,36 +329,45 @@ def decided(
     Returns
     -------
     survey : dict
-        ``kind`` (`LIDAR`, `DIM`: image matching, which is coloured, has single returns alone and does not see through
-        plants), ``density_m2``, ``sigma_m`` (None: not known), ``label_sigma_m`` (what of it the last pass allows
-        for), ``several`` (share of points).
+        ``kind`` (`LIDAR`, `DIM`: image matching, which has single returns alone and does not see through plants),
+        ``density_m2``, ``sigma_m`` (None: not known), ``label_sigma_m`` (what of it the last pass of a laser scan
+        allows for), ``cell_sigma_m`` (noise that the rules of matched clouds start from), ``several`` (share of
+        points).
     notes : list of str
     """
     share = seen.several / seen.told if seen.told else 0.0
     through = seen.through / seen.looks if seen.looks else 0.0
-    single = bool(run["rgb"] and seen.told and share < SEVERAL_SHARE)
-    kind = DIM if single and through < SEEN_THROUGH_SHARE else LIDAR
+    single = share < SEVERAL_SHARE
+    if run.get("kind") is not None:
+        kind, why = run["kind"], "as --kind or the preset says"
+    elif not single:
+        kind, why = LIDAR, f"{100 * share:.2g} % of the points are one of several returns"
+    elif through >= SEEN_THROUGH_SHARE:
+        kind = LIDAR
+        why = f"pulses passed through plants in {100 * through:.2g} % of the area, though each point is a single return"
+    elif found.density_m2 < MATCHED_M2:
+        kind, why = LIDAR, f"fewer than {MATCHED_M2:g} points/m2, and no returns that say more"
+    else:
+        kind, why = DIM, "no point is one of several returns, and nothing is seen through plants"
     sigma = found.sigma_m if run["sigma_m"] is None else run["sigma_m"]
     label_sigma = sigma
     if kind == LIDAR and run["sigma_m"] is None:
         label_sigma = LASER_SIGMA_M if sigma is None else min(sigma, LASER_SIGMA_M)
+    cell_sigma = found.smoothest_m if run["sigma_m"] is None else run["sigma_m"]
+    cell_sigma = LEAST_CELL_SIGMA_M if cell_sigma is None else cell_sigma
     survey = {
         "kind": kind, "density_m2": found.density_m2, "sigma_m": sigma, "label_sigma_m": label_sigma,
-        "several": share,
+        "cell_sigma_m": min(max(cell_sigma, LEAST_CELL_SIGMA_M), MOST_CELL_SIGMA_M), "several": share,
     }  # fmt: skip
+    noise = survey["cell_sigma_m"] if kind == DIM else sigma
+    told = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
+    named = "image matching" if kind == DIM else "laser scanning"
+    notes = [f"decided: {named} ({why}); {found.density_m2:.3g} points/m2, {told}"]
     if kind == DIM:
-        why = "the points have colours, none is one of several returns, and no plants are seen through"
-    elif single:
-        why = f"pulses passed through plants in {100 * through:.2g} % of the area, though each point is a single return"
-    elif seen.several:
-        why = f"{100 * share:.0f} % of the points are one of several returns"
-    else:
-        why = "nothing speaks against"
-    noise = "noise not measurable" if sigma is None else f"noise {sigma:.3g} m"
-    notes = [
-        f"decided: {'image matching' if kind == DIM else 'laser scanning'} ({why}); "
-        f"{found.density_m2:.3g} points/m2, {noise}"
-    ]
+        notes.append(
+            f"decided: ground is up to {GROUND_M:g} m and the local noise from the surface, after a vote of neighbours"
+        )
+        return survey, notes
     chosen = settings(params, survey)
     if label_sigma != sigma:
         notes.append(

@@ -110,60 +110,75 @@ def test_a_climbed_roof_is_given_back_but_no_seed() -> None:
     assert np.array_equal(stays, codes == SEED)
 
 
-def test_image_matching_is_told_by_colours_single_returns_and_what_is_not_seen_through() -> None:
-    found = Roughness(8.0, 0.066, 50)
-    run = {"rgb": True, "sigma_m": None}
+def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through() -> None:
+    found = Roughness(8.0, 0.066, 50, 0.07)
+    run = {"rgb": False, "sigma_m": None, "kind": None}
     survey, notes = decided(Auto(), found, Seen(1000, 0, 500, 4), run)
-    assert (survey["kind"], survey["sigma_m"], survey["density_m2"]) == ("dim", 0.066, 8.0)
+    assert (survey["kind"], survey["cell_sigma_m"], survey["density_m2"]) == ("dim", 0.07, 8.0)
     assert notes == [
-        "decided: image matching (the points have colours, none is one of several returns, and no plants are "
-        "seen through); 8 points/m2, noise 0.066 m",
-        "decided: ground is up to 0.25 m + 0.5 m x slope from the surface",
+        "decided: image matching (no point is one of several returns, and nothing is seen through plants); "
+        "8 points/m2, noise 0.07 m",
+        "decided: ground is up to 0.2 m and the local noise from the surface, after a vote of neighbours",
     ]
-    chosen = settings(Auto(), survey)
-    assert (chosen.low_group, chosen.low_depth_m, chosen.pit_depth_m) == (30, 2.0, 0.5)
-    for told, several, through, rgb in (
-        (1000, 10, 0, True),
-        (0, 0, 0, True),
-        (1000, 0, 0, False),
-        (1000, 0, 5, True),
+    assert decided(Auto(), found, Seen(0, 0, 500, 4), run)[0]["kind"] == "dim"  # returns are not known
+    for several, through, why in (
+        (10, 0, "1 % of the points are one of several returns"),
+        (0, 5, "pulses passed through plants in 1 % of the area, though each point is a single return"),
     ):
-        other, _ = decided(Auto(), found, Seen(told, several, 500, through), {"rgb": rgb, "sigma_m": 0.02})
-        assert (other["kind"], other["sigma_m"]) == ("lidar", 0.02)
-        assert settings(Auto(), other).pit_depth_m is None
-    _, notes = decided(Auto(), found, Seen(1000, 0, 500, 5), run)
-    assert notes[0].startswith("decided: laser scanning (pulses passed through plants in 1 % of the area")
+        survey, notes = decided(Auto(), found, Seen(1000, several, 500, through), run)
+        assert survey["kind"] == "lidar"
+        assert notes[0].startswith(f"decided: laser scanning ({why})")
+    sparse, _ = decided(Auto(), Roughness(3.9, 0.066, 50, 0.07), Seen(0, 0, 500, 0), run)
+    assert sparse["kind"] == "lidar"
+
+
+@pytest.mark.parametrize("kind", ["dim", "lidar"])
+def test_what_the_user_says_of_the_source_is_obeyed(kind: str) -> None:
+    for seen in (Seen(1000, 500, 500, 100), Seen(1000, 0, 500, 0)):
+        run = {"rgb": True, "sigma_m": None, "kind": kind}
+        survey, notes = decided(Auto(), Roughness(8.0, 0.066, 50, 0.07), seen, run)
+        assert survey["kind"] == kind
+        assert "as --kind or the preset says" in notes[0]
+
+
+def test_the_noise_that_matched_clouds_start_from_has_limits_and_is_the_users_if_said() -> None:
+    for smoothest, said, taken in (
+        (0.01, None, 0.03),
+        (None, None, 0.03),
+        (0.5, None, 0.25),
+        (0.05, 0.12, 0.12),
+    ):
+        run = {"rgb": True, "sigma_m": said, "kind": "dim"}
+        survey, _ = decided(Auto(), Roughness(8.0, None, 0, smoothest), Seen(0, 0, 0, 0), run)
+        assert survey["cell_sigma_m"] == taken
 
 
 @pytest.mark.parametrize(
-    ("kind", "density", "sigma", "floor", "slope"),
+    ("density", "sigma", "floor", "slope"),
     [
-        ("lidar", 0.7, 0.02, 0.24, 1.0),
-        ("lidar", 1.5, 0.02, 0.18, 0.75),
-        ("lidar", 2.0, 0.02, 0.12, 0.5),
-        ("lidar", 9.0, 0.05, 0.2, 0.5),
-        ("lidar", 9.0, 0.2, 0.24, 0.5),
-        ("lidar", 9.0, None, 0.24, 0.5),
-        ("dim", 9.0, 0.02, 0.2, 0.5),
-        ("dim", 9.0, 0.1, 0.35, 0.5),
-        ("dim", 9.0, 0.2, 0.48, 0.5),
+        (0.7, 0.02, 0.24, 1.0),
+        (1.5, 0.02, 0.18, 0.75),
+        (2.0, 0.02, 0.12, 0.5),
+        (9.0, 0.05, 0.2, 0.5),
+        (9.0, 0.2, 0.24, 0.5),
+        (9.0, None, 0.24, 0.5),
     ],
 )
 def test_the_last_pass_is_narrower_where_points_are_dense(
-    kind: str, density: float, sigma: float | None, floor: float, slope: float
+    density: float, sigma: float | None, floor: float, slope: float
 ) -> None:
-    chosen = settings(Auto(), {"kind": kind, "density_m2": density, "label_sigma_m": sigma})
+    chosen = settings(Auto(), {"density_m2": density, "label_sigma_m": sigma})
     assert (chosen.label_floor_m, chosen.label_slope_m) == pytest.approx((floor, slope))
 
 
 def test_what_a_laser_measures_beyond_its_noise_is_plants() -> None:
     for sigma, taken in ((0.02, 0.02), (0.09, 0.03), (None, 0.03)):
         survey, notes = decided(
-            Auto(), Roughness(8.0, sigma, 50), Seen(9, 9, 9, 0), {"rgb": False, "sigma_m": None}
+            Auto(), Roughness(8.0, sigma, 50), Seen(9, 9, 9, 0), {"sigma_m": None, "kind": "lidar"}
         )
         assert (survey["sigma_m"], survey["label_sigma_m"]) == (sigma, taken)
         assert any("0.03 m is taken for a laser's noise" in note for note in notes) == (sigma != taken)
-    survey, _ = decided(Auto(), Roughness(8.0, 0.02, 50), Seen(9, 9, 9, 0), {"rgb": False, "sigma_m": 0.1})
+    survey, _ = decided(Auto(), Roughness(8.0, 0.02, 50), Seen(9, 9, 9, 0), {"sigma_m": 0.1, "kind": "lidar"})
     assert survey["label_sigma_m"] == 0.1
 
 
@@ -181,46 +196,33 @@ def test_a_hall_wider_than_the_openings_is_no_ground() -> None:
     assert found[~hall].mean() > 0.97
 
 
-def test_pits_of_image_matching_are_low_noise() -> None:
-    """1.5 m below the lowest of its surroundings, in a single cell."""
-    xyz, _ = scene()
-    pit = (abs(xyz[:, 0] - 75.5) < 0.45) & (abs(xyz[:, 1] - 25.5) < 0.45)
-    xyz[pit, 2] -= 1.5
-    columns = {"rgb": np.full((len(xyz), 3), 9), "returns": np.ones((len(xyz), 2), np.uint8)}
-    found = ptd.classify(xyz, "auto", **columns).classification
-    assert (found[pit] != 2).all()
-    assert (found[pit] == 7).any()
-    assert not (ptd.classify(xyz, "auto").classification[pit] == 7).any()
-
-
 def test_the_decision_reaches_the_result() -> None:
     xyz, _ = scene(4000)
-    columns = {"rgb": np.full((4000, 3), 9), "returns": np.ones((4000, 2), np.uint8)}
-    result = ptd.classify(xyz, "auto", **columns, sigma=0.2)
+    result = ptd.classify(xyz, "auto", sigma=0.2, kind="dim")
     statistics = result.decisions["statistics"]
-    assert statistics["survey"]["kind"] == "dim"
-    assert statistics["survey"]["sigma_m"] == 0.2
+    assert (statistics["survey"]["kind"], statistics["survey"]["cell_sigma_m"]) == ("dim", 0.2)
     assert len(statistics["notes"]) == 2
+    assert list(result.stats) == ["survey", "cells", "objects", "inner-objects", "surface"]
 
 
 def test_reaches_are_those_of_the_rules() -> None:
-    assert Auto().seed_reach == 2 * 18 + 2 * 9 + 2 + 5
+    assert Auto().seed_reach == 2 * 18 + 2 * 9 + 5
     assert Auto().refine_reach == 2 * 18 + 2 * 9 + 20 + 2 * 6 + 15 + 2 * 6
     assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
     assert {step.name: step.reach_m for step in Auto().passes} == {
-        "survey": 24.0, "seeds": 62.0, "densify": None, "refine": 114.0, "roofs": 229.0, "roofs2": 229.0,
-        "roofs3": 229.0, "label": None,
+        "survey": 24.0, "seeds": 60.0, "densify": None, "refine": 114.0, "roofs": 229.0, "roofs2": 229.0,
+        "roofs3": 229.0, "label": None, "cells": 4.0, "objects": 318.0, "inner-objects": 318.0, "surface": 351.0,
     }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", list(SCENES))
 def test_tiles_agree_with_the_whole_and_marks_fall_with_the_halo(name: str) -> None:
     points = Points(SCENES[name](np.random.default_rng(11)))
-    truth, marks, state = classify_tiled(points, SCALE, SMALL, None)
+    truth, marks, state = classify_tiled(points, SCALE, SMALL, None, kind="lidar")
     assert not marks.any()
     shares = []
     for halo in (40.0, 120.0):
-        labels, marks, tiled = classify_tiled(points, SCALE, SMALL, 70.0, halo)
+        labels, marks, tiled = classify_tiled(points, SCALE, SMALL, 70.0, halo, kind="lidar")
         assert tiled == state
         assert np.array_equal(labels[~marks], truth[~marks])
         shares.append(marks.mean())
@@ -239,8 +241,8 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(tile_m: float, thin_cell
         align_m, margin_m, candidate_cell_m = params.align_m, params.margin_m, thin_cell_m
         passes = params.passes[:2]
 
-    truth, _, state = classify_tiled(Points(cloud), SCALE, Until, None)
-    labels, marks, tiled = classify_tiled(Points(cloud), SCALE, Until, tile_m)
+    truth, _, state = classify_tiled(Points(cloud), SCALE, Until, None, kind="lidar")
+    labels, marks, tiled = classify_tiled(Points(cloud), SCALE, Until, tile_m, kind="lidar")
     assert not marks.any()
     assert np.array_equal(labels, truth)
     assert tiled == state
@@ -248,8 +250,8 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(tile_m: float, thin_cell
     class Refine(Until):
         passes = (params.passes[0], params.passes[1], *params.passes[3:5])
 
-    truth, _, _ = classify_tiled(Points(cloud), SCALE, Refine, None)
-    labels, marks, _ = classify_tiled(Points(cloud), SCALE, Refine, tile_m)
+    truth, _, _ = classify_tiled(Points(cloud), SCALE, Refine, None, kind="lidar")
+    labels, marks, _ = classify_tiled(Points(cloud), SCALE, Refine, tile_m, kind="lidar")
     assert not marks.any()
     assert np.array_equal(labels, truth)
     assert 0.1 < (labels == 2).mean() < 0.95
@@ -258,17 +260,17 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(tile_m: float, thin_cell
 def test_the_order_of_the_points_changes_nothing() -> None:
     cloud = SCENES["hills_with_houses"](np.random.default_rng(2))
     order = np.random.default_rng(0).permutation(cloud.shape[1])
-    truth, _, state = classify_tiled(Points(cloud), SCALE, SMALL, None)
-    shuffled, _, other = classify_tiled(Points(cloud[:, order]), SCALE, SMALL, None)
+    truth, _, state = classify_tiled(Points(cloud), SCALE, SMALL, None, kind="lidar")
+    shuffled, _, other = classify_tiled(Points(cloud[:, order]), SCALE, SMALL, None, kind="lidar")
     assert np.array_equal(shuffled, truth[order])
     assert state == other
 
 
 def test_blocks_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud = Points(SCENES["voids"](np.random.default_rng(2)))
-    truth, _, _ = classify_tiled(cloud, SCALE, SMALL, None)
+    truth, _, _ = classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")
     monkeypatch.setattr(objects, "BLOCK_CELLS", 16)
-    assert np.array_equal(classify_tiled(cloud, SCALE, SMALL, None)[0], truth)
+    assert np.array_equal(classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")[0], truth)
 
 
 def test_an_offset_of_the_frame_changes_nothing() -> None:

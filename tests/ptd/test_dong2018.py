@@ -249,8 +249,8 @@ def test_no_points() -> None:
 
 def test_statistics_do_not_depend_on_the_order_of_tiles() -> None:
     parts = [
-        {"points": 700, "cells": 4, "full": 4, "patches": [[60, 3], [70, 1]]},
-        {"points": 900, "cells": 5, "full": 3, "patches": [[20, 1]]},
+        {"points": 700, "cells": 4, "full": 4, "patches": [[60, 3], [70, 1]], "quarters": []},
+        {"points": 900, "cells": 5, "full": 3, "patches": [[20, 1]], "quarters": []},
     ]
     run = {"run": {"rgb": False, "sigma_m": None}}
     assert NoisePass(DEFAULTS).reduce(parts, run) == NoisePass(DEFAULTS).reduce(parts[::-1], run)

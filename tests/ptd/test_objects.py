@@ -103,20 +103,6 @@ def test_the_lack_of_objects_by_hand() -> None:
     assert low.lack_of_objects(ground.ravel(), RESIDUALS)[30, 35] == 0.0
 
 
-def test_pits_by_hand() -> None:
-    """A pit of 2 x 3 cells has no room for a square of 3 x 3; one of 3 x 3 has; at the border squares stand outside."""
-    heights = 0.1 * ROWS
-    narrow, room, border = np.s_[20:22, 10:13], np.s_[20:23, 30:33], np.s_[0:2, 50:53]
-    for pit in (narrow, room, border):
-        heights[pit] -= 10.0
-    low = lowest(heights)
-    every = np.ones(heights.size, bool)
-    found = low.pits(every, 0.5).reshape(heights.shape)
-    assert found[narrow].all()
-    assert found.sum() == 6
-    assert not low.pits(heights.ravel() > -1.0, 0.5).any()
-
-
 def test_where_no_ground_is_near_nothing_is_residual() -> None:
     heights = box(slice(20, 50), slice(20, 50), 4.0)
     ground = np.zeros(heights.shape, bool)

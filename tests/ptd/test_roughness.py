@@ -87,7 +87,7 @@ def test_lawns_do_not_raise_it() -> None:
 
 
 def test_a_few_patches_among_many_cells_tell_nothing() -> None:
-    part = {"points": 1000, "cells": 60, "full": 50, "patches": [[30, 1]]}
+    part = {"points": 1000, "cells": 60, "full": 50, "patches": [[30, 1]], "quarters": []}
     assert merge([part]).sigma_m == pytest.approx(0.0305)
     found = merge([part, {**part, "full": 151, "patches": []}])
     assert (found.sigma_m, found.patches) == (None, 1)

@@ -1,0 +1,18 @@
+"""Ground of matched clouds (photogrammetry): one robust height per cell, and a surface that may bend only so much.
+
+Image matching gives dense clouds whose heights scatter to both sides and hold blunders, alone and in clumps, so the
+lowest point of a cell says little. Every module here works on rasters of cells of `cells.CELL_M`:
+
+cells
+    one robust height per cell.
+noise
+    the noise of the run.
+hull
+    the highest surface below the cells that bends down no more than a given curvature.
+objects
+    connected surfaces with walls around them are objects, as a whole.
+surface
+    hulls of several curvatures, and the mean of the cells that lie about them.
+voting
+    points against the surface; neighbours vote.
+"""

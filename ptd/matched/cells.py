@@ -1,0 +1,178 @@
+"""One robust height per cell of a matched cloud, where the lowest point would be a blunder or the tail of the noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, Int64, cell_keys
+from ptd.frame import Cells, Scale, Window
+from ptd.kernel import kernel
+
+CELL_M = 1.0
+"""Side of a cell: the detail of the surface. Tens of points average out in it; a car fills several."""
+MODE_SIGMAS = 4.0
+"""Height of the window that is moved up from a cell's lowest point, in standard deviations of the noise."""
+STEEPEST = 2.0
+"""Slopes between neighbouring cells up to which they are taken off before heights are compared."""
+MODE_SHARE, MODE_POINTS = 0.1, 2
+"""The lowest window with this share of the cell's points, and this many, is its surface: single blunders are fewer."""
+
+Float64 = npt.NDArray[np.float64]
+
+
+@kernel
+def by_cell(keys: Int64, n_cells: int) -> tuple[Int64, Int32]:
+    """Counting sort: the points of cell ``k`` are ``order[starts[k]:starts[k + 1]]``."""
+    starts = np.zeros(n_cells + 1, np.int64)
+    for key in keys:
+        starts[key + 1] += 1
+    for k in range(n_cells):
+        starts[k + 1] += starts[k]
+    filled = starts[:-1].copy()
+    order = np.empty(keys.size, np.int32)
+    for i in range(keys.size):
+        order[filled[keys[i]]] = i
+        filled[keys[i]] += 1
+    return starts, order
+
+
+@kernel
+def _lowest_mode(values: Int64, width: int, share: float, least: int) -> tuple[int, int]:
+    """Median of the lowest window of sorted values that holds enough of them, and how many it holds (0: none does)."""
+    n = values.size
+    need, last = max(math.ceil(share * n), least), 0
+    for first in range(n - need + 1):
+        while last < n and values[last] - values[first] <= width:
+            last += 1
+        if last - first >= need:
+            return (values[(first + last - 1) // 2] + values[(first + last) // 2]) // 2, last - first
+    return 0, 0
+
+
+@kernel
+def _level_heights(z: Int32, starts: Int64, order: Int32, width: int) -> tuple[Int64, Int64]:
+    """Height of each cell, and on how many points it rests (0: it has none)."""
+    heights, counts = np.zeros(starts.size - 1, np.int64), np.zeros(starts.size - 1, np.int64)
+    for k in range(starts.size - 1):
+        if starts[k + 1] > starts[k]:
+            values = np.sort(z[order[starts[k] : starts[k + 1]]].astype(np.int64))
+            heights[k], counts[k] = _lowest_mode(values, width, MODE_SHARE, MODE_POINTS)
+    return heights, counts
+
+
+@kernel
+def _tilted_heights(
+    x: Int32, y: Int32, z: Int32, starts: Int64, order: Int32, columns: int, centre_x: Int64, centre_y: Int64,
+    width: int, steepest: int, level: Int64, counts: Int64,
+) -> Int64:  # fmt: skip
+    """Heights of cells whose neighbours tell a slope, with that slope taken off, if more points agree on them then."""
+    heights = level.copy()
+    for k in range(columns + 1, starts.size - 1 - columns - 1):
+        west, east, south, north = counts[k - 1], counts[k + 1], counts[k - columns], counts[k + columns]
+        if counts[k] == 0 or west == 0 or east == 0 or south == 0 or north == 0:
+            continue
+        eastward, northward = level[k + 1] - level[k - 1], level[k + columns] - level[k - columns]
+        if abs(eastward) > steepest or abs(northward) > steepest:
+            continue
+        cx, cy = centre_x[k % columns], centre_y[k // columns]
+        span_x = centre_x[k % columns + 1] - centre_x[k % columns - 1]
+        span_y = centre_y[k // columns + 1] - centre_y[k // columns - 1]
+        values = np.empty(starts[k + 1] - starts[k], np.int64)
+        for i in range(values.size):
+            j = order[starts[k] + i]
+            values[i] = z[j] - eastward * (x[j] - cx) // span_x - northward * (y[j] - cy) // span_y
+        found, n = _lowest_mode(np.sort(values), width, MODE_SHARE, MODE_POINTS)
+        if n > counts[k]:
+            heights[k] = found
+    return heights
+
+
+def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float) -> Int32:
+    """The surface of each cell whose centre lies within bounds, as a point at its centre.
+
+    Parameters
+    ----------
+    xyz : int32 [3, n]
+        All points within two cells of the bounds, local counts, in any order.
+    bounds : Window
+    scale : Scale
+    sigma_m : float
+        The run's noise in metres.
+
+    Returns
+    -------
+    int32 [3, m]
+        Local counts, by rows of cells.
+    """
+    cells = Cells.of(CELL_M, scale)
+    x, y, z = (np.ascontiguousarray(c) for c in xyz)
+    if x.size == 0:
+        return np.zeros((3, 0), np.int32)
+    col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min())) - 1
+    columns, rows = cells.column(int(x.max())) - col0 + 2, cells.row(int(y.max())) - row0 + 2
+    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, columns)
+    starts, order = by_cell(keys, columns * rows)
+    window = max(round(scale.counts_z(MODE_SIGMAS * sigma_m)), 1)
+    level, counts = _level_heights(z, starts, order, window)
+    centre_x = np.array(
+        [(cells.west(col0 + i) + cells.west(col0 + i + 1)) // 2 for i in range(columns)], np.int64
+    )
+    centre_y = np.array(
+        [(cells.south(row0 + i) + cells.south(row0 + i + 1)) // 2 for i in range(rows)], np.int64
+    )
+    steepest = round(2 * STEEPEST * scale.counts_z(CELL_M))
+    heights = _tilted_heights(
+        x, y, z, starts, order, columns, centre_x, centre_y, window, steepest, level, counts
+    )
+    found = np.flatnonzero(counts)
+    cx, cy = centre_x[found % columns], centre_y[found // columns]
+    own = (cx >= bounds.west) & (cx < bounds.east) & (cy >= bounds.south) & (cy < bounds.north)
+    return np.stack([cx[own], cy[own], heights[found[own]]]).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Cells of a window as a raster, with a margin of empty cells all around.
+
+    Attributes
+    ----------
+    heights : int32 [rows, columns]
+        Vertical counts, the southern row first; `EMPTY` where there is no cell.
+    keys : int64 [n]
+        The place of each cell in the raster taken row by row.
+    column, row : int
+        Of the lattice, of the first cell.
+    """
+
+    heights: Int32
+    keys: Int64
+    column: int
+    row: int
+
+
+EMPTY = 2**31 - 1
+"""Height of a cell without a surface."""
+ALIGN = 8
+"""Rasters begin at multiples of this many cells of the lattice, so that blocks of cells are the same in each."""
+MARGIN = 4
+"""Empty cells around a raster: what is there is the same whatever the raster holds."""
+
+
+def raster_of(xyz: Int32, cells: Cells) -> Raster:
+    """The raster of elected cells (at least one): int32 [3, n] local counts, one for each cell."""
+    x, y, z = (np.ascontiguousarray(c) for c in xyz)
+    column, row = (
+        (first - MARGIN) // ALIGN * ALIGN for first in (cells.column(int(x.min())), cells.row(int(y.min())))
+    )
+    width, height = (
+        cells.column(int(x.max())) - column + 1 + MARGIN,
+        cells.row(int(y.max())) - row + 1 + MARGIN,
+    )
+    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
+    heights = np.full(height * width, EMPTY, np.int32)
+    heights[keys] = z
+    return Raster(heights.reshape(height, width), keys, column, row)

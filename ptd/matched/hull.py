@@ -1,0 +1,199 @@
+"""The highest surface below cells that bends down no more than a given curvature, as a stiff cloth from below.
+
+It is the union of all paraboloids of that curvature that fit below the cells: an object narrower than
+``2 * sqrt(2 * height / curvature)`` is passed below, terrain that bends less is followed exactly. A paraboloid may cut
+through a few cells, so that a clump of blunders does not hold it down. Paraboloids are looked at around their centres
+alone; on slopes they are tilted as the terrain is at large, so that their centres lie below what they touch. Heights
+are whole numbers, and nothing beyond a fixed reach has a part in a cell's answer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from ptd.cells import Int32, Int64
+from ptd.frame import Scale
+from ptd.kernel import kernel
+from ptd.matched.cells import CELL_M, EMPTY
+from ptd.morphology import Float64
+
+CUT_CELLS = 3
+"""Cells that a paraboloid may cut through: a clump of blunders fills no more."""
+BLOCK = 8
+"""Side of the blocks of cells that are passed over where their lowest cell is too high to matter, and whose lowest
+cells say how the terrain slopes."""
+TILT_BLOCKS = 2.0
+"""Standard deviation of the surroundings from which a slope is taken, in blocks."""
+TILT_RADIUS, LEAST_WEIGHT = 5, 1e-3
+"""Blocks at which those surroundings end, and the weight of their cells from which on there is a slope."""
+LOWEST = -(2**31) + 1
+
+
+@dataclass(frozen=True)
+class Hull:
+    """How a hull is made.
+
+    Attributes
+    ----------
+    curvature : float
+        Per metre: 0.04 bends over a circle of 25 m.
+    fall_m : float
+        Paraboloids are looked at until they have fallen so far.
+    """
+
+    curvature: float
+    fall_m: float
+
+    @property
+    def radius(self) -> int:
+        """Cells that a paraboloid extends from its centre, along rows and columns."""
+        return math.ceil(math.sqrt(2 * self.fall_m / self.curvature) / CELL_M)
+
+    @property
+    def stride(self) -> int:
+        """Cells between the centres of paraboloids: what is missed between them is less than 4 cm."""
+        return max(1, min(4, int(math.sqrt(0.08 / self.curvature) / CELL_M)))
+
+    @property
+    def reach(self) -> int:
+        """Cells beyond which nothing has a part in a cell's answer."""
+        return self.radius + max(self.radius, BLOCK * (TILT_RADIUS + 3)) + self.stride
+
+    def falls(self, scale: Scale) -> Int64:
+        """Fall of a paraboloid so many cells from its centre along a row: vertical counts, int64 [radius + 1]."""
+        steps = CELL_M * np.arange(self.radius + 1)
+        falls: Int64 = np.rint(self.curvature / 2 * steps**2 * scale.counts_z(1.0)).astype(np.int64)
+        return falls
+
+
+@kernel
+def _block_minima(heights: Int32) -> Int32:
+    rows, columns = heights.shape
+    lowest = np.full(((rows + BLOCK - 1) // BLOCK, (columns + BLOCK - 1) // BLOCK), EMPTY, np.int32)
+    for row in range(rows):
+        for column in range(columns):
+            b = lowest[row // BLOCK, column // BLOCK]
+            lowest[row // BLOCK, column // BLOCK] = min(b, heights[row, column])
+    return lowest
+
+
+def tilts(heights: Int32) -> tuple[Int64, Int64]:
+    """Slope of the lowest cells of blocks to the north and to the east: vertical counts a cell, int64 by block."""
+    lowest, margin = _block_minima(heights), TILT_RADIUS + 1
+    there = np.pad((lowest != EMPTY).astype(np.float64), margin)
+    values = np.pad(np.where(lowest != EMPTY, lowest, 0).astype(np.float64), margin)
+    weight = _smooth(there)
+    mean = _smooth(values) / np.maximum(weight, 1e-9)
+    found = []
+    for axis in (0, 1):
+        ahead, behind = np.roll(mean, -1, axis), np.roll(mean, 1, axis)
+        known = (np.roll(weight, -1, axis) > LEAST_WEIGHT) & (np.roll(weight, 1, axis) > LEAST_WEIGHT)
+        slope = np.where(known, (ahead - behind) / (2 * BLOCK), 0.0)
+        found.append(np.rint(slope[margin:-margin, margin:-margin]).astype(np.int64))
+    return found[0], found[1]
+
+
+def _smooth(values: Float64) -> Float64:
+    found: Float64 = gaussian_filter(values, TILT_BLOCKS, mode="constant", radius=TILT_RADIUS)
+    return found
+
+
+@kernel
+def _highest_fit(
+    heights: Int32, lowest: Int32, falls: Int64, r: int, c: int, north: int, east: int, best: Int64
+) -> None:
+    """Tops of the lowest paraboloids around a centre that each one cell limits, in rising order, into ``best``."""
+    rows, columns = heights.shape
+    radius, last = falls.size - 1, best.size - 1
+    best[:] = EMPTY
+    for ring in range(radius // BLOCK + 2):
+        for br in range(max(r // BLOCK - ring, 0), min(r // BLOCK + ring + 1, lowest.shape[0])):
+            step = 1 if abs(br - r // BLOCK) == ring else max(2 * ring, 1)
+            for bc in range(c // BLOCK - ring, c // BLOCK + ring + 1, step):
+                if bc < 0 or bc >= lowest.shape[1] or lowest[br, bc] == EMPTY:
+                    continue
+                r0, r1 = max(br * BLOCK, r - radius), min(br * BLOCK + BLOCK, r + radius + 1, rows)
+                c0, c1 = max(bc * BLOCK, c - radius), min(bc * BLOCK + BLOCK, c + radius + 1, columns)
+                if r0 >= r1 or c0 >= c1:
+                    continue
+                near_row, near_column = max(r0 - r, r - r1 + 1, 0), max(c0 - c, c - c1 + 1, 0)
+                uphill = max(north * (r0 - r), north * (r1 - 1 - r)) + max(
+                    east * (c0 - c), east * (c1 - 1 - c)
+                )
+                if lowest[br, bc] + falls[near_row] + falls[near_column] - uphill >= best[last]:
+                    continue
+                for rr in range(r0, r1):
+                    fall = falls[abs(rr - r)] - north * (rr - r)
+                    for cc in range(c0, c1):
+                        if heights[rr, cc] == EMPTY:
+                            continue
+                        value = heights[rr, cc] + fall + falls[abs(cc - c)] - east * (cc - c)
+                        if value < best[last]:
+                            k = last
+                            while k > 0 and best[k - 1] > value:
+                                best[k] = best[k - 1]
+                                k -= 1
+                            best[k] = value
+
+
+@kernel
+def _union(
+    heights: Int32,
+    lowest: Int32,
+    falls: Int64,
+    stride: int,
+    row0: int,
+    column0: int,
+    cut: int,
+    north: Int64,
+    east: Int64,
+) -> Int32:
+    """Height of the highest paraboloid over each cell, LOWEST where there is none."""
+    rows, columns = heights.shape
+    radius = falls.size - 1
+    hull = np.full((rows, columns), LOWEST, np.int32)
+    best = np.empty(cut + 1, np.int64)
+    for r in range(row0, rows, stride):
+        for c in range(column0, columns, stride):
+            near = False
+            for rr in range(r, min(r + stride, rows)):
+                for cc in range(c, min(c + stride, columns)):
+                    near |= heights[rr, cc] != EMPTY
+            if not near:
+                continue
+            n, e = north[r // BLOCK, c // BLOCK], east[r // BLOCK, c // BLOCK]
+            _highest_fit(heights, lowest, falls, r, c, n, e, best)
+            top = best[cut]
+            if top >= EMPTY:
+                continue
+            for rr in range(max(r - radius, 0), min(r + radius + 1, rows)):
+                along = top - falls[abs(rr - r)] + n * (rr - r)
+                for cc in range(max(c - radius, 0), min(c + radius + 1, columns)):
+                    hull[rr, cc] = max(np.int64(hull[rr, cc]), along - falls[abs(cc - c)] + e * (cc - c))
+    return hull
+
+
+def hull_below(heights: Int32, rule: Hull, scale: Scale, row: int, column: int) -> Int32:
+    """The hull of a raster of cells.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Vertical counts; `EMPTY` where there is no cell.
+    rule : Hull
+    scale : Scale
+    row, column : int
+        Place of the first cell on its lattice, multiples of `BLOCK`: centres are anchored there.
+
+    Returns
+    -------
+    int32 [rows, columns]
+        Vertical counts; `LOWEST` beyond reach of the cells.
+    """
+    falls, stride, lowest = rule.falls(scale), rule.stride, _block_minima(heights)
+    north, east = tilts(heights)
+    return _union(heights, lowest, falls, stride, -row % stride, -column % stride, CUT_CELLS, north, east)

@@ -1,0 +1,180 @@
+"""Large objects of matched clouds as wholes: connected surfaces that end in walls which fall.
+
+Cells are of one surface where their heights differ little from one to the next. A roof or a crown is surrounded by
+falls, ground by rises (walls, trunks) and by what goes on. So a surface is judged by its rim, and by how much of it
+lies on a stiff hull (`ptd.matched.hull`): a hall's roof does not, a terrace does. A surface wider than a limit is
+terrain, so nothing farther than a fixed reach has a part in the answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ptd.cells import Int32, Int64
+from ptd.frame import Scale
+from ptd.kernel import kernel
+from ptd.matched.cells import CELL_M, EMPTY
+from ptd.matched.hull import BLOCK, tilts
+from ptd.morphology import Bool
+
+STEP_M, STEP_SIGMAS = 0.5, 3.0
+"""Neighbours on a surface differ by less than the larger of both (by half as much again across corners)."""
+DIAGONAL = 1.4
+NEAR_M, NEAR_SHARE = 1.0, 0.2
+"""A surface of which this share lies so near the stiff hull, or more, is terrain."""
+FALL_M, FALL_CELLS, FALL_SHARE = 1.5, 2, 0.4
+"""At an object's rim this share of the cells, or more, has another surface so far below within so many cells."""
+ALL_FALLS = 0.9
+"""At a rim that falls nearly everywhere it does not matter how near the hull is: halls may be too wide for that."""
+AREA_M2 = 60.0
+"""The smallest object that is judged as a whole; smaller ones are passed below by less stiff hulls."""
+WIDEST_M = 200.0
+"""What is wider than this is terrain."""
+TERRAIN_M, TERRAIN_FALLS = 100.0, 0.25
+"""So is what is wider than this and falls at no more than this share of its rim, however little of it the hull touches:
+ridges and crests."""
+INSIDE_SHARE = 0.5
+"""A surface of any size is judged if so much of its rim is that of objects found before: equipment on a roof."""
+
+
+@dataclass(frozen=True)
+class Rims:
+    """What is known of each surface; arrays of int64 with one entry a surface.
+
+    Attributes
+    ----------
+    area, near : cells of the surface, and those near the stiff hull
+    rim, falls, inside : cells at its rim, those with another surface far below, and those beside objects found before
+    width : rows or columns that it spans, whichever are more
+    """
+
+    area: Int64
+    near: Int64
+    rim: Int64
+    falls: Int64
+    inside: Int64
+    width: Int64
+
+
+@kernel
+def _surfaces(heights: Int32, step: float, north: Int64, east: Int64) -> tuple[Int32, int]:
+    """The surface of each cell by number, -1 where it is empty, and how many there are.
+
+    Heights are compared as they are, and without the slope of the terrain at large.
+    """
+    rows, columns = heights.shape
+    surface = np.full((rows, columns), -1, np.int32)
+    waiting = np.empty(rows * columns, np.int64)
+    n = 0
+    for start in range(rows * columns):
+        if (
+            surface[start // columns, start % columns] >= 0
+            or heights[start // columns, start % columns] == EMPTY
+        ):
+            continue
+        surface[start // columns, start % columns] = n
+        waiting[0], left = start, 1
+        while left:
+            left -= 1
+            row, column = waiting[left] // columns, waiting[left] % columns
+            for dr in range(-1, 2):
+                for dc in range(-1, 2):
+                    r, c = row + dr, column + dc
+                    if (
+                        r < 0
+                        or c < 0
+                        or r >= rows
+                        or c >= columns
+                        or heights[r, c] == EMPTY
+                        or surface[r, c] >= 0
+                    ):
+                        continue
+                    limit = step if dr == 0 or dc == 0 else DIAGONAL * step
+                    rise = np.int64(heights[r, c]) - heights[row, column]
+                    tilt = dr * (north[r // BLOCK, c // BLOCK] + north[row // BLOCK, column // BLOCK])
+                    tilt += dc * (east[r // BLOCK, c // BLOCK] + east[row // BLOCK, column // BLOCK])
+                    if abs(rise) < limit or abs(rise - tilt / 2) < limit:
+                        surface[r, c] = n
+                        waiting[left] = r * columns + c
+                        left += 1
+        n += 1
+    return surface, n
+
+
+@kernel
+def _rims(
+    heights: Int32, surface: Int32, n: int, hull: Int32, removed: Bool, near: int, fall: int
+) -> tuple[Int64, Int64]:
+    """Counts of each surface (area, near, rim, falls, inside) and its box (first and last row, column)."""
+    rows, columns = heights.shape
+    counts, box = np.zeros((n, 5), np.int64), np.zeros((n, 4), np.int64)
+    for row in range(rows):
+        for column in range(columns):
+            own = surface[row, column]
+            if own < 0:
+                continue
+            height = np.int64(heights[row, column])
+            if counts[own, 0] == 0:
+                box[own, 0], box[own, 1], box[own, 2], box[own, 3] = row, row, column, column
+            box[own, 1] = row
+            box[own, 2], box[own, 3] = min(box[own, 2], column), max(box[own, 3], column)
+            counts[own, 0] += 1
+            counts[own, 1] += height - hull[row, column] < near
+            edge = False
+            for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+                r, c = row + dr, column + dc
+                if 0 <= r < rows and 0 <= c < columns:
+                    edge |= removed[r, c] or (surface[r, c] >= 0 and surface[r, c] != own)
+            if not edge:
+                continue
+            counts[own, 2] += 1
+            falls, inside = False, False
+            for r in range(max(row - FALL_CELLS, 0), min(row + FALL_CELLS + 1, rows)):
+                for c in range(max(column - FALL_CELLS, 0), min(column + FALL_CELLS + 1, columns)):
+                    inside |= removed[r, c]
+                    falls |= surface[r, c] >= 0 and surface[r, c] != own and heights[r, c] < height - fall
+            counts[own, 3] += falls
+            counts[own, 4] += inside
+    return counts, box
+
+
+def reach_cells() -> int:
+    """Cells beyond which nothing has a part in what `large_objects` says, its hull apart."""
+    return round(WIDEST_M / CELL_M) + FALL_CELLS + 1
+
+
+def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Scale) -> tuple[Bool, Bool]:
+    """Cells of large objects, and cells of surfaces that are terrain.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Vertical counts of the cells that are left; `EMPTY` elsewhere.
+    hull : int32 [rows, columns]
+        The stiff hull of all cells.
+    removed : bool [rows, columns]
+        Cells of objects found before.
+    sigma_m : float
+        The run's noise in metres.
+    scale : Scale
+
+    Returns
+    -------
+    objects, terrain : bool [rows, columns]
+    """
+    step = scale.counts_z(max(STEP_M, STEP_SIGMAS * sigma_m))
+    surface, n = _surfaces(heights, step, *tilts(heights))
+    near_counts, fall_counts = round(scale.counts_z(NEAR_M)), round(scale.counts_z(FALL_M))
+    counts, box = _rims(heights, surface, n, hull, removed, near_counts, fall_counts)
+    area, near, rim, falls, inside = counts.T
+    width_m = (np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1) * CELL_M
+    enclosed = inside > INSIDE_SHARE * rim
+    large = (area * CELL_M**2 >= AREA_M2) | enclosed
+    fallen = np.where(enclosed, inside + falls, falls) / np.maximum(rim, 1)
+    around = falls > np.maximum(ALL_FALLS * (rim - inside), FALL_SHARE * rim)
+    stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
+    objects = large & stands & (width_m <= WIDEST_M)
+    terrain = (width_m > TERRAIN_M) & (fallen <= TERRAIN_FALLS) | (width_m > WIDEST_M)
+    return np.append(objects, False)[surface], np.append(terrain, False)[surface]

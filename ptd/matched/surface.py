@@ -1,0 +1,260 @@
+"""The ground's surface from cells: hulls that bend more where that is seen, then the mean of what lies about them.
+
+1. Two hulls. The stiffer is right below trees, where ground is seen through gaps alone; the other follows terrain.
+   Between them decides the *contrast*: above ground there is a gap up to what stands on it, above a hull that climbed
+   into plants there are as many cells as on it.
+2. Still less stiff hulls follow banks, ridges and crests, where what lies above the surface is terrain's as a whole
+   (`ptd.matched.objects`), or nearly all around is ground.
+3. `ROUNDS` times, the mean residual of the cells that lie about the surface is added, at two scales. Noise is the
+   root mean square of the residuals below the surface: what lies above may be plants.
+
+Gaussian sums over cells are cut off at a fixed radius, so nothing beyond `reach_cells` has a part in the surface.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import correlate1d
+
+from ptd.cells import Int32
+from ptd.frame import Scale
+from ptd.matched.cells import CELL_M, EMPTY
+from ptd.matched.hull import LOWEST, Hull, hull_below
+from ptd.morphology import Bool
+
+Float64 = npt.NDArray[np.float64]
+
+STIFF, PLIABLE = Hull(0.01, 11.5), Hull(0.04, 11.5)
+RIDGES = (Hull(0.08, 6.0), Hull(0.2, 6.0), Hull(0.5, 6.0))
+OPEN_GROUND = 0.3
+"""Curvature up to which open ground all around is reason enough; beyond, only terrain as a whole is: cars are small."""
+BAND_M, BAND_SIGMAS, BAND_SLOPE = 0.15, 2.5, 0.15
+"""What lies on a hull lies so near it: metres, times the noise, and metres per unit of slope."""
+CONTRAST_M, CONTRAST = 12.0, (0.3, 0.7)
+"""Standard deviation of the surroundings in which cells are counted; contrast up to which the pliable hull holds, and
+from which on the stiff one does."""
+RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST = 6.0, (0.6, 0.85), (0.05, 0.15)
+"""The same for ridges, and the share of open ground or of terrain from which on, and at which, their hulls hold."""
+TERRAIN_M = 8.0
+"""Standard deviation of the surroundings in which cells above the surface are counted."""
+
+ROUNDS = 6
+SCALES_M = (3.0, 1.5)
+"""Standard deviations of the surroundings whose mean residual is added."""
+FEW = 0.05
+"""Weight of no residual at all, so that few cells move the surface little."""
+ABOVE_M, ABOVE_SIGMAS, BELOW_M, BELOW_SIGMAS = 0.1, 2.5, 0.3, 3.0
+"""What lies about the surface: metres and times the local noise, above and below."""
+ABOUT_SLOPE = 0.15
+"""And metres per unit of slope; twice as much below, where slopes are lost."""
+GAP, NARROWEST = (0.2, 0.55), 0.25
+"""Contrast up to which the band above the surface is whole, and from which on it is so narrow: among low plants."""
+NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02
+"""Standard deviation of the surroundings from which noise is taken, its limit in times the run's, and the weight of
+that."""
+SLOPE_SMOOTHED_M, STEEPEST = 2.0, 2.0
+EXTENDED_M = (2.0, 6.0)
+"""Beyond its cells the surface goes on as the mean of what is near: standard deviations of the surroundings."""
+TRUNCATE = 2.0
+"""Standard deviations at which Gaussian sums end."""
+SHARE_BLOCK = 4
+"""Cells on a side of the blocks for which shares of the surroundings are reckoned: they are far smaller than those."""
+
+
+class Surface(NamedTuple):
+    """The ground of a raster of cells; float64 [rows, columns] each, metres.
+
+    Attributes
+    ----------
+    height : NaN where no cell is near
+    sigma : the noise of cells about the surface
+    narrowing : 1 where there is a gap above the ground; the less, the more cells lie just above it
+    """
+
+    height: Float64
+    sigma: Float64
+    narrowing: Float64
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Heights in metres and which cells are there."""
+
+    height: Float64
+    there: Bool
+
+    def mean(self, values: Float64, std_m: float) -> Float64:
+        """Gaussian mean of the values of the cells that are there; 0 where none is near."""
+        weight = smoothed(self.there.astype(np.float64), std_m)
+        return smoothed(np.where(self.there, values, 0.0), std_m) / np.maximum(weight, 1e-9)
+
+    def around(self, which: Bool, std_m: float) -> Float64:
+        """Share of all places around each cell that hold a chosen one, by blocks of `SHARE_BLOCK` cells."""
+        rows, columns = which.shape
+        down, right = -rows % SHARE_BLOCK, -columns % SHARE_BLOCK
+        padded = np.pad(which, ((0, down), (0, right))).astype(np.float64)
+        split = padded.reshape(
+            padded.shape[0] // SHARE_BLOCK, SHARE_BLOCK, padded.shape[1] // SHARE_BLOCK, SHARE_BLOCK
+        )
+        shares = smoothed(split.mean(axis=(1, 3)), std_m / SHARE_BLOCK)
+        whole = np.repeat(np.repeat(shares, SHARE_BLOCK, axis=0), SHARE_BLOCK, axis=1)
+        return np.ascontiguousarray(whole[:rows, :columns])
+
+
+def smoothed(values: Float64, std_m: float) -> Float64:
+    """Gaussian sums with weights that add up to 1, of values that are 0 beyond the raster."""
+    std = std_m / CELL_M
+    radius = _radius(std_m)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / std) ** 2)
+    weights /= weights.sum()
+    along: Float64 = correlate1d(values, weights, axis=1, mode="constant")
+    found: Float64 = correlate1d(along, weights, axis=0, mode="constant")
+    return found
+
+
+def _radius(std_m: float) -> int:
+    """Cells at which Gaussian sums end."""
+    return math.ceil(TRUNCATE * std_m / CELL_M)
+
+
+def _share_radius(std_m: float) -> int:
+    """The same for shares by blocks."""
+    return SHARE_BLOCK * (math.ceil(TRUNCATE * std_m / CELL_M / SHARE_BLOCK) + 1)
+
+
+def reach_cells() -> int:
+    """Cells beyond which nothing has a part in the surface."""
+    slope = _radius(SLOPE_SMOOTHED_M) + 1
+    bent = max(h.reach for h in (STIFF, PLIABLE, *RIDGES)) + slope + _share_radius(CONTRAST_M)
+    bent += len(RIDGES) * max(slope + _share_radius(RIDGE_M), _share_radius(TERRAIN_M))
+    about = max(slope, _radius(NOISE_M)) + _share_radius(CONTRAST_M)
+    return bent + 2 * about + ROUNDS * sum(_radius(m) for m in SCALES_M) + _radius(max(EXTENDED_M))
+
+
+def ground_surface(
+    heights: Int32, terrain: Bool, sigma_m: float, scale: Scale, row: int, column: int
+) -> Surface:
+    """The ground's surface.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Vertical counts of the cells that are no large object's; `EMPTY` elsewhere, at least at the raster's edges.
+    terrain : bool [rows, columns]
+        Cells of surfaces that are terrain as wholes (`ptd.matched.objects`).
+    sigma_m : float
+        The run's noise in metres.
+    scale : Scale
+    row, column : int
+        Place of the first cell on its lattice.
+    """
+    there = heights != EMPTY
+    metres = 1.0 / scale.counts_z(1.0)
+    cells = _Cells(np.where(there, heights * metres, 0.0), there)
+
+    def hull(rule: Hull) -> Float64:
+        found = hull_below(heights, rule, scale, row, column)
+        below: Float64 = np.where(there & (found != LOWEST), found * metres, 0.0)
+        return below
+
+    start = _bent(cells, terrain, hull, sigma_m)
+    height, sigma, narrowing = _refined(cells, start, sigma_m)
+    return Surface(_extended(height, there), sigma, narrowing)
+
+
+def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
+    """0 up to the first limit, 1 from the second on."""
+    found: Float64 = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0.0, 1.0)
+    return found
+
+
+def _slope(cells: _Cells, surface: Float64) -> Float64:
+    smooth = cells.mean(surface, SLOPE_SMOOTHED_M)
+    north, east = np.gradient(smooth, CELL_M)
+    inner = smoothed(cells.there.astype(np.float64), SLOPE_SMOOTHED_M) > 0.2
+    found: Float64 = np.where(cells.there & inner, np.hypot(north, east), 0.0)
+    return np.minimum(found, STEEPEST)
+
+
+def _contrast(cells: _Cells, surface: Float64, sigma_m: float, std_m: float) -> tuple[Float64, Float64]:
+    """Cells just above a surface in parts of those on it, around each cell; and the share of the latter."""
+    band = BAND_M + BAND_SIGMAS * sigma_m + BAND_SLOPE * _slope(cells, surface)
+    residual = cells.height - surface
+    on = cells.around(cells.there & (np.abs(residual) < band), std_m)
+    above = cells.around(cells.there & (residual >= band) & (residual < 3.0 * band), std_m)
+    return above / np.maximum(on, 1e-3), on
+
+
+def _bent(cells: _Cells, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m: float) -> Float64:
+    """The hull that bends as much as the cells show."""
+    stiff = hull(STIFF)
+    pliable = np.maximum(hull(PLIABLE), stiff)
+    contrast, _ = _contrast(cells, pliable, sigma_m, CONTRAST_M)
+    surface = pliable - _ramp(contrast, CONTRAST) * (pliable - stiff)
+    for rule in RIDGES:
+        ridges = np.maximum(hull(rule), surface)
+        contrast, on = _contrast(cells, ridges, sigma_m, RIDGE_M)
+        share = _of_terrain(cells, terrain, surface, sigma_m)
+        if rule.curvature <= OPEN_GROUND:
+            share = np.maximum(share, on)
+        surface = surface + _ramp(share, RIDGE_SHARE) * (1.0 - _ramp(contrast, RIDGE_CONTRAST)) * (
+            ridges - surface
+        )
+    return surface
+
+
+def _of_terrain(cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float) -> Float64:
+    """Of the cells above a surface, the share that is terrain's, around each cell."""
+    above = cells.there & (cells.height - surface > BAND_M + BAND_SIGMAS * sigma_m)
+    return cells.around(above & terrain, TERRAIN_M) / np.maximum(cells.around(above, TERRAIN_M), 1e-3)
+
+
+def _refined(cells: _Cells, surface: Float64, sigma_m: float) -> tuple[Float64, Float64, Float64]:
+    """The surface amid the cells that lie about it, their noise, and how much narrower the band is in plants."""
+    _, _, above, below = _about(cells, surface, sigma_m)
+    for _ in range(ROUNDS):
+        residual = cells.height - surface
+        ground = cells.there & (residual < above) & (residual > -below)
+        weight = ground.astype(np.float64)
+        for std_m in SCALES_M:
+            mean = smoothed(np.where(ground, cells.height - surface, 0.0), std_m) / (
+                smoothed(weight, std_m) + FEW
+            )
+            surface = surface + np.where(cells.there, mean, 0.0)
+    sigma, narrowing, _, _ = _about(cells, surface, sigma_m)
+    return surface, sigma, narrowing
+
+
+def _about(cells: _Cells, surface: Float64, sigma_m: float) -> tuple[Float64, Float64, Float64, Float64]:
+    """Noise and narrowing of the band of cells that lie about a surface, and how far it extends above and below."""
+    slope, residual = _slope(cells, surface), cells.height - surface
+    sigma = _noise(cells, residual, sigma_m)
+    above = ABOVE_M + ABOVE_SIGMAS * sigma + ABOUT_SLOPE * slope
+    below = BELOW_M + BELOW_SIGMAS * sigma + 2 * ABOUT_SLOPE * slope
+    on = cells.around(cells.there & (residual > -below) & (residual < above), CONTRAST_M)
+    next_above = cells.around(cells.there & (residual >= above) & (residual < 2 * above), CONTRAST_M)
+    narrowing = 1.0 - (1.0 - NARROWEST) * _ramp(next_above / np.maximum(on, 1e-3), GAP)
+    return sigma, narrowing, above * narrowing, below * (2.0 - narrowing)
+
+
+def _noise(cells: _Cells, residual: Float64, sigma_m: float) -> Float64:
+    """Root mean square of the residuals below the surface around each cell, and the run's where there are few."""
+    below = cells.there & (residual < 0.0) & (residual > -6.0 * sigma_m)
+    weight = smoothed(below.astype(np.float64), NOISE_M)
+    squares = smoothed(np.where(below, residual * residual, 0.0), NOISE_M)
+    local = np.sqrt((squares + NOISE_FEW * sigma_m**2) / (weight + NOISE_FEW))
+    return np.minimum(local, NOISE_MOST * sigma_m)
+
+
+def _extended(surface: Float64, there: Bool) -> Float64:
+    """The surface where there are cells, around them the mean of what is near, NaN beyond."""
+    found = np.where(there, surface, np.nan)
+    for std_m in EXTENDED_M:
+        weight = smoothed(there.astype(np.float64), std_m)
+        mean = smoothed(np.where(there, surface, 0.0), std_m) / np.maximum(weight, 1e-12)
+        found = np.where(np.isnan(found) & (weight > 1e-6), mean, found)
+    return found

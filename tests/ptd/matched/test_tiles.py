@@ -1,0 +1,108 @@
+"""Matched clouds: what `auto` finds in them, and that neither tiles nor the order of points nor the frame show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ptd
+from ptd.frame import Scale
+from ptd.matched import objects, passes, surface
+from ptd.matched.hull import Hull
+from ptd.methods.auto import Auto
+from ptd.passes import Points
+
+from ..tiling import classify_tiled
+
+SIDE_M, DENSITY_M2, NOISE_M = 90.0, 12.0, 0.06
+
+
+def village(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Slope, bank, hall, two houses, a crown, a hedge and blunders, seen from above: metres, and true classes."""
+    rng = np.random.default_rng(seed)
+    n = round(DENSITY_M2 * SIDE_M**2)
+    x, y = SIDE_M * rng.random((2, n))
+    ground = 0.1 * x + 3.0 / (1.0 + np.exp(-(y - 60.0) / 2.0))
+    z, truth = ground.copy(), np.full(n, 2)
+    for (west, east, south, north), height in (
+        ((10, 45, 8, 34), 8.0),
+        ((60, 70, 10, 22), 5.0),
+        ((20, 30, 70, 80), 6.0),
+    ):
+        inside = (x > west) & (x < east) & (y > south) & (y < north)
+        z[inside], truth[inside] = 0.1 * west + height + 3.0 * (north > 65), 6
+    crown = np.hypot(x - 65.0, y - 70.0)
+    z[crown < 5] = (ground + 4.0 + np.sqrt(np.maximum(25 - crown**2, 0.0)))[crown < 5]
+    hedge = (abs(y - 45.0) < 0.8) & (x > 50)
+    z[hedge] = ground[hedge] + 1.5
+    truth[(crown < 5) | hedge] = 5
+    z += rng.normal(0.0, NOISE_M, n)
+    low = rng.choice(n, 40, replace=False)
+    z[low] -= rng.uniform(1.5, 12.0, low.size)
+    truth[low] = 7
+    return np.stack([x, y, z], axis=1), truth
+
+
+def counts(xyz: np.ndarray) -> Points:
+    return Points(np.rint(1000 * xyz.T).astype(np.int32))
+
+
+def test_walls_roofs_crowns_and_blunders_are_no_ground() -> None:
+    xyz, truth = village()
+    found = ptd.classify(xyz, "auto", kind="dim").classification
+    assert (found[truth == 2] == 2).mean() > 0.97
+    assert (found[truth == 6] == 2).mean() < 0.01
+    assert (found[truth == 5] == 2).mean() < 0.05
+    assert (found[truth == 7] == 7).mean() > 0.9
+
+
+@pytest.fixture
+def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
+    """`auto` whose matched branch sees less far, so that tiles of a small scene have neighbours beyond their reach."""
+    monkeypatch.setattr(surface, "STIFF", Hull(0.04, 2.0))
+    monkeypatch.setattr(surface, "PLIABLE", Hull(0.08, 2.0))
+    monkeypatch.setattr(surface, "RIDGES", (Hull(0.3, 2.0),))
+    monkeypatch.setattr(surface, "CONTRAST_M", 2.0)
+    monkeypatch.setattr(surface, "RIDGE_M", 2.0)
+    monkeypatch.setattr(surface, "TERRAIN_M", 2.0)
+    monkeypatch.setattr(surface, "ROUNDS", 2)
+    monkeypatch.setattr(surface, "EXTENDED_M", (1.0, 2.0))
+    monkeypatch.setattr(objects, "WIDEST_M", 14.0)
+    monkeypatch.setattr(objects, "TERRAIN_M", 10.0)
+    seen = objects.reach_cells() + surface.STIFF.reach + 1.0
+    later = [replace(step, reach_m=seen) for step in passes.PASSES[1:3]]
+    last = replace(passes.PASSES[3], reach_m=surface.reach_cells() + 3.0)
+
+    class ShortSighted(Auto):
+        passes = (Auto().passes[0], passes.PASSES[0], *later, last)
+
+    return ShortSighted
+
+
+@pytest.mark.parametrize("tile_m", [20.0, 37.0])
+def test_tiles_do_not_show(short_sighted: type[Auto], tile_m: float) -> None:
+    points = counts(village()[0] + [0.0, 0.0, 30.0])
+    whole, marks, state = classify_tiled(points, Scale(), short_sighted(), None, kind="dim")
+    assert not marks.any()
+    assert 0.3 < (whole == 2).mean() < 0.95
+    labels, marks, tiled = classify_tiled(points, Scale(), short_sighted(), tile_m, kind="dim")
+    assert not marks.any()
+    assert tiled == state
+    assert np.array_equal(labels, whole)
+
+
+def test_the_order_of_points_and_the_frame_change_nothing() -> None:
+    xyz, _ = village()
+    order = np.random.default_rng(0).permutation(len(xyz))
+    found = ptd.classify(xyz, "auto", kind="dim").classification
+    assert np.array_equal(ptd.classify(xyz[order], "auto", kind="dim").classification, found[order])
+    moved = ptd.classify(xyz + [640_000.0, -64_000.0, 0.0], "auto", kind="dim").classification
+    assert np.array_equal(moved, found)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3])
+def test_next_to_no_points_give_no_error(n: int) -> None:
+    xyz = np.array([[5.0, 5.0, 1.0], [8.0, 5.0, 1.0], [5.0, 9.0, 1.0]])[:n]
+    assert len(ptd.classify(xyz.reshape(-1, 3), "auto", kind="dim").classification) == n
