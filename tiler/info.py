@@ -237,33 +237,28 @@ def describe_result(folder: Path) -> dict[str, Any]:
 
 def describe_raster(path: Path) -> dict[str, Any]:
     """Facts of a raster: place, units, and of its first band the heights, read block by block."""
-    import rasterio
-    from rasterio.errors import RasterioError
+    from tiler.evaluate.rasters import open_raster
 
-    try:
-        with rasterio.open(path) as raster:
-            return {
-                "kind": "raster",
-                "path": str(path),
-                "size_bytes": path.stat().st_size,
-                "driver": raster.driver,
-                "width": raster.width,
-                "height": raster.height,
-                "bands": raster.count,
-                "dtype": raster.dtypes[0],
-                "crs": _crs_name(raster.crs.to_wkt() if raster.crs else None),
-                "bounds": list(raster.bounds),
-                "pixel_size": list(raster.res),
-                "vertical_unit": raster.units[0],
-                "nodata": raster.nodata,
-                "overviews": raster.overviews(1),
-                "compression": raster.compression.value.lower() if raster.compression else "none",
-                "heights": _heights(raster),
-                "tags": dict(raster.tags()),
-            }
-    except RasterioError as error:
-        text = " ".join(str(error).split())
-        raise InputError(f"{path}: neither a cloud nor a raster that can be read ({text})") from error
+    with open_raster(path, "neither a cloud nor a raster that can be read") as raster:
+        return {
+            "kind": "raster",
+            "path": str(path),
+            "size_bytes": path.stat().st_size,
+            "driver": raster.driver,
+            "width": raster.width,
+            "height": raster.height,
+            "bands": raster.count,
+            "dtype": raster.dtypes[0],
+            "crs": _crs_name(raster.crs.to_wkt() if raster.crs else None),
+            "bounds": list(raster.bounds),
+            "pixel_size": list(raster.res),
+            "vertical_unit": raster.units[0],
+            "nodata": raster.nodata,
+            "overviews": raster.overviews(1),
+            "compression": raster.compression.value.lower() if raster.compression else "none",
+            "heights": _heights(raster),
+            "tags": dict(raster.tags()),
+        }
 
 
 def _heights(raster: Any) -> dict[str, Any]:

@@ -17,8 +17,9 @@ import numpy.typing as npt
 from tiler.check.points import NVA, VVA, Checkpoints, PointOptions
 from tiler.core.spread import spread
 from tiler.core.units import unit_label
-from tiler.errors import ConfigError, InputError
+from tiler.errors import ConfigError
 from tiler.evaluate.heights import read_heights, vertical_unit
+from tiler.evaluate.rasters import open_raster
 from tiler.jsontext import excerpt
 
 STANDARD = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
@@ -57,19 +58,13 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
     ConfigError
         The checkpoints' CRS is not known.
     """
-    import rasterio
-    from rasterio.errors import RasterioError
-
     options = options or PointOptions()
     notes = list(points.notes)
-    try:
-        with rasterio.open(dtm) as raster:
-            metres = vertical_unit(raster)
-            x, y = _in_crs_of(raster, points, options, notes)
-            sampled, outside = bilinear(raster, x, y)
-            area_km2 = _area_km2(raster)
-    except RasterioError as error:
-        raise InputError(f"{dtm}: cannot be read ({' '.join(str(error).split())})") from error
+    with open_raster(dtm) as raster:
+        metres = vertical_unit(raster)
+        x, y = _in_crs_of(raster, points, options, notes)
+        sampled, outside = bilinear(raster, x, y)
+        area_km2 = _area_km2(raster)
     z = points.z * float((options.unit or metres) / metres)
     difference = sampled - z
     own = options.rmse / float(metres)
@@ -222,7 +217,7 @@ def _figures(difference: Floats, own_rmse: float) -> dict[str, Any]:
 
 def least_points(area_km2: float) -> int:
     """Checkpoints that the standard asks for: 30 up to 1000 km2, 10 more for each further 1000, 120 at most."""
-    further = max(math.ceil(area_km2 / 1000) - 1, 0)
+    further = max(math.ceil(min(area_km2, 1e9) / 1000) - 1, 0)
     return min(LEAST_POINTS + 10 * further, MOST_POINTS)
 
 

@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.check.accuracy import pixel_places
-from tiler.errors import ConfigError, InputError
+from tiler.errors import ConfigError
 from tiler.evaluate.heights import files_of_raster
+from tiler.evaluate.rasters import open_raster
 from tiler.export.geotiff import raster_errors
 from tiler.export.picture import png_bytes
 from tiler.places import appearing
@@ -201,18 +202,12 @@ def _colour(difference: float | None, largest: float) -> str:
 
 def _hillshade(dtm: Path) -> tuple[npt.NDArray[np.uint8], Callable[[float, float], tuple[float, float]]]:
     """A small hillshade (light from the north-west at 45 degrees), and what brings x, y to its column and row."""
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.open(dtm) as raster:
-            shrink = max(max(raster.shape) / MAP_PIXELS, 1.0)
-            shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
-            heights = raster.read(1, out_shape=shape, masked=True).astype(np.float64).filled(np.nan)
-            transform = raster.transform
-            wide, high = shape[1] / raster.width, shape[0] / raster.height
-    except RasterioError as error:
-        raise InputError(f"{dtm}: cannot be read ({' '.join(str(error).split())})") from error
+    with open_raster(dtm) as raster:
+        shrink = max(max(raster.shape) / MAP_PIXELS, 1.0)
+        shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
+        heights = raster.read(1, out_shape=shape, masked=True).astype(np.float64).filled(np.nan)
+        transform = raster.transform
+        wide, high = shape[1] / raster.width, shape[0] / raster.height
     rgba = np.zeros((*shape, 4), np.uint8)
     shade = _shade(heights, abs(transform.a) / wide, abs(transform.e) / high)
     seen = np.isfinite(shade)

@@ -24,6 +24,7 @@ from scipy.ndimage import maximum_filter1d
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
 from tiler.evaluate.heights import blocks_with_files, horizontal_unit, read_heights, vertical_unit
+from tiler.evaluate.rasters import open_raster
 from tiler.jsontext import read_object
 
 BLOCK_PIXELS = 512
@@ -149,20 +150,14 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
     ConfigError
         It is rotated, or the tile is no larger than three pixels.
     """
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.open(dtm) as raster:
-            if raster.transform.b or raster.transform.d:
-                raise ConfigError(f"{dtm}: is rotated; seams need rows and columns along the axes")
-            if edges.tile < 4 * max(abs(raster.transform.a), abs(raster.transform.e)):
-                raise ConfigError(f"--tile-size {edges.tile:g}: must be four pixels at least")
-            metres, counts = vertical_unit(raster), _Counts()
-            for pairs in _pairs(raster, edges):
-                counts.add(pairs)
-    except RasterioError as error:
-        raise InputError(f"{dtm}: cannot be read ({' '.join(str(error).split())})") from error
+    with open_raster(dtm) as raster:
+        if raster.transform.b or raster.transform.d:
+            raise ConfigError(f"{dtm}: is rotated; seams need rows and columns along the axes")
+        if edges.tile < 4 * max(abs(raster.transform.a), abs(raster.transform.e)):
+            raise ConfigError(f"--tile-size {edges.tile:g}: must be four pixels at least")
+        metres, counts = vertical_unit(raster), _Counts()
+        for pairs in _pairs(raster, edges):
+            counts.add(pairs)
     for tallies in (counts.edges, counts.beside):  # of a VRT without files there is nothing to count
         tallies.setdefault("tiles", Tally())
     found = {name: tally.facts() for name, tally in counts.edges.items()}

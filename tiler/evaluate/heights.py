@@ -15,6 +15,7 @@ from tiler.core.spread import SpreadTally
 from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
 from tiler.evaluate.maps import refuse_foreign_maps
+from tiler.evaluate.rasters import open_raster, raster_named
 from tiler.places import appearing
 from tiler.targets import Target, check_targets
 
@@ -117,15 +118,12 @@ def refuse_targets(
 
 def files_of_raster(path: Path | str) -> list[str]:
     """The files that a raster is read from: its own, and those of which a VRT is made."""
-    import rasterio
-    from rasterio.errors import RasterioError
-
     found, todo = [str(path)], [str(path)]
     while todo:
         try:
-            with rasterio.open(todo.pop()) as raster:
+            with open_raster(todo.pop()) as raster:
                 new = [file for file in raster.files if file not in found]
-        except RasterioError:  # told of when it is read
+        except InputError:  # told of when it is read
             continue
         found += new
         todo += [file for file in new if file.lower().endswith(".vrt")]
@@ -159,26 +157,20 @@ def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
 @contextmanager
 def _opened(dtm: Path, truth: Path) -> Iterator[Pair]:
     """Both rasters, checked against one another; raises InputError, ConfigError."""
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.open(dtm) as mine, rasterio.open(truth) as true:
-            _check_places(dtm, mine, truth, true)
-            a, b = mine.transform, true.transform
-            col, row = (a.c - b.c) / b.a, (a.f - b.f) / b.e
-            if not (np.allclose((a.a, a.e), (b.a, b.e)) and _whole_number(col) and _whole_number(row)):
-                raise ConfigError(
-                    f"{dtm} and {truth} do not lie on one pixel lattice (pixels of {a.a:g} and {b.a:g}, "
-                    f"shifted by {col % 1:.3f} and {row % 1:.3f}); make the DTM with the truth's resolution"
-                )
-            pair = Pair(mine, true, round(row), round(col))
-            apart = pair.row >= true.height or pair.col >= true.width
-            if apart or pair.row + mine.height <= 0 or pair.col + mine.width <= 0:
-                raise ConfigError(f"{dtm} and {truth} do not overlap; name the truth of this DTM")
-            yield pair
-    except RasterioError as error:
-        raise InputError(f"{' '.join(str(error).split())}; name two readable rasters") from error
+    with open_raster(dtm) as mine, open_raster(truth) as true:
+        _check_places(dtm, mine, truth, true)
+        a, b = mine.transform, true.transform
+        col, row = (a.c - b.c) / b.a, (a.f - b.f) / b.e
+        if not (np.allclose((a.a, a.e), (b.a, b.e)) and _whole_number(col) and _whole_number(row)):
+            raise ConfigError(
+                f"{dtm} and {truth} do not lie on one pixel lattice (pixels of {a.a:g} and {b.a:g}, "
+                f"shifted by {col % 1:.3f} and {row % 1:.3f}); make the DTM with the truth's resolution"
+            )
+        pair = Pair(mine, true, round(row), round(col))
+        apart = pair.row >= true.height or pair.col >= true.width
+        if apart or pair.row + mine.height <= 0 or pair.col + mine.width <= 0:
+            raise ConfigError(f"{dtm} and {truth} do not overlap; name the truth of this DTM")
+        yield pair
 
 
 def _check_places(dtm: Path, mine: Any, truth: Path, true: Any) -> None:
@@ -258,7 +250,8 @@ def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Fl
     top, left = max(row, 0), max(col, 0)
     bottom, right = min(row + height, raster.height), min(col + width, raster.width)
     if top < bottom and left < right:
-        part = raster.read(1, window=((top, bottom), (left, right)), masked=True).astype(np.float64)
+        with raster_named(raster.name):
+            part = raster.read(1, window=((top, bottom), (left, right)), masked=True).astype(np.float64)
         heights[top - row : bottom - row, left - col : right - col] = part.filled(np.nan)
     return heights
 
@@ -274,12 +267,6 @@ def vertical_unit(raster: Any) -> Fraction:
 
 def horizontal_unit(dtm: Path) -> Fraction:
     """Metres in one unit of a raster's coordinates; a metre where it has no CRS. Raises InputError."""
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    try:
-        with rasterio.open(dtm) as raster:
-            known = raster.crs is not None and raster.crs.is_projected
-            return exact_unit(raster.crs.linear_units_factor[1]) if known else METRE
-    except RasterioError as error:
-        raise InputError(f"{dtm}: cannot be read ({' '.join(str(error).split())})") from error
+    with open_raster(dtm) as raster:
+        known = raster.crs is not None and raster.crs.is_projected
+        return exact_unit(raster.crs.linear_units_factor[1]) if known else METRE

@@ -67,7 +67,7 @@ def test_rasters_that_cannot_be_compared_are_refused(tmp_path, west, size, messa
 
 def test_what_is_no_raster_is_refused(tmp_path):
     (tmp_path / "a.tif").write_text("no raster")
-    with pytest.raises(InputError, match="name two readable rasters"):
+    with pytest.raises(InputError, match="name a readable raster"):
         evaluate_dtm(tmp_path / "a.tif", tmp_path / "a.tif")
 
 
