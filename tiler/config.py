@@ -63,11 +63,12 @@ class RunConfig:
     interpolation: str = setting("linear", "heights between ground points: linear on the TIN, natural neighbours, or "
                                  "idw (12 nearest, 1 / squared distance); all fill the same pixels", kind="choice",
                                  choices=("linear", "natural", "idw"))  # fmt: skip
-    surface: str = setting("all", "ground points that make the DTM: all, or one in each cell of half a pixel, that at "
-                           "the median or a percentile (p10) of the heights, for noisy matched clouds",
-                           kind="surface")  # fmt: skip
-    erode: Fraction = setting(Fraction(0), "leave out ground points this near to a point of an object at least 1 m "
-                              "higher: stumps of walls in matched clouds", unit="m", kind="length")  # fmt: skip
+    surface: str | None = setting(None, "ground points that make the DTM: all, or one in each cell of half a pixel, "
+                                  "that at the median or a percentile (p10) of the heights; default: all, or the "
+                                  "median where the cloud is taken for matched", kind="surface")  # fmt: skip
+    erode: Fraction | None = setting(None, "leave out ground points this near to a point of an object at least 1 m "
+                                     "higher: stumps of walls in matched clouds; default: 0, or 0.5 m where the cloud "
+                                     "is taken for matched", unit="m", kind="length")  # fmt: skip
     voids: str = setting("leave", "pixels beyond `max-edge` inside the survey: leave (no height), fill (from "
                          "their rim), or mark (fill, and write the mask)", kind="choice",
                          choices=("leave", "fill", "mark"))  # fmt: skip
@@ -136,7 +137,14 @@ class RunConfig:
     @property
     def surface_percent(self) -> int | None:
         """Percentile of the heights of a cell that makes the DTM; None for all points."""
-        return {"all": None, "median": 50}[self.surface] if self.surface[:1] != "p" else int(self.surface[1:])
+        if self.surface is None or self.surface == "all":
+            return None
+        return 50 if self.surface == "median" else int(self.surface[1:])
+
+    @property
+    def erosion(self) -> Fraction:
+        """`erode`, 0 where it is not said."""
+        return Fraction(0) if self.erode is None else self.erode
 
     @property
     def source_kind(self) -> str | None:

@@ -135,7 +135,7 @@ def _nodata(plan: Plan, name: str) -> dict[str, float]:
 def _tags(plan: Plan, inputs: str) -> dict[str, str]:
     config = plan.config
     settings: dict[str, Any] = {
-        "interpolation": config.interpolation, "surface": config.surface, "erode_m": float(config.erode),
+        "interpolation": config.interpolation, "surface": config.surface or "all", "erode_m": float(config.erosion),
         "max_edge_m": float(config.max_edge), "voids": config.voids, "spike_m": float(config.spike),
     }  # fmt: skip
     return {

@@ -155,7 +155,7 @@ def _point_tasks(name: str, g: Gridding) -> Iterator[Task]:
     spec = g.spec_of(name)
     special, reach = _point_arguments(name, g)
     common = {"name": name, "spec": spec.to_json(), **ground_arguments(g.plan), **special}
-    reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))
+    reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
     below = [special["terrain"]] if "terrain" in special else []
     for block, near in _near(g, spec, reach).items():
         arguments = {**common, "block": _of_block(block)}
@@ -241,7 +241,7 @@ def _mask_tasks(g: Gridding) -> Iterator[Task]:
         "coarse": g.coarse.to_json(), "area": area_key(g.plan), **ground_arguments(g.plan),
     }  # fmt: skip
     survey = checksums(g.made["survey"])
-    erode = math.ceil(g.plan.meta.frame.counts(g.plan.config.erode))
+    erode = math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
     near = _near(g, spec, erode)
     holes: dict[Block, list[list[int]]] = defaultdict(list)
     for hole in g.holes:

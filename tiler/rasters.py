@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Collection, Mapping
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,12 +34,16 @@ from tiler.tasks import Assembled, Source, area_key, classified_tasks
 
 RASTERS = (".tif", ".vrt")
 """Files of rasters among what is written; their tasks have the names of the files as keys."""
+MATCHED, MATCHED_SURFACE, MATCHED_EROSION = "dim", "median", Fraction(1, 2)
+"""Kind of matched clouds, and how their surface is made unless the user says it: noise is averaged, and the skirts of
+walls, which no filter tells from ground, are left out."""
 BLANK_BLOCKS = 256
 """Blocks of an earlier run that one task removes."""
 
 
 def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
     """All rasters that the products need, block by block."""
+    _settle_surface(job)
     gridding = Gridding(job.plan, assembled, labels, _holes(job))
     for name in wanted(job.plan.config):
         tasks = list(raster_tasks(name, gridding))
@@ -50,6 +56,29 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
     if "mask" in gridding.made:
         _tell_of_mask(job, gridding.spec, gridding.made["mask"])
     return gridding
+
+
+def _settle_surface(job: Job) -> None:
+    """Decide what makes the surface where the user does not: matched clouds are noisy, their walls have skirts."""
+    plan, config = job.plan, job.plan.config
+    survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
+    if config.method == KEEP or survey.get("kind", config.source_kind) != MATCHED:
+        return
+    surface, erode = config.surface or MATCHED_SURFACE, config.erode
+    if erode is None:
+        eroded = replace(plan, config=config.updated(surface=surface, erode=MATCHED_EROSION))
+        fits = eroded.projected_memory()["grid"] <= max(plan.memory, plan.projected_memory()["grid"])
+        erode = MATCHED_EROSION if fits else Fraction(0)
+        if not fits:
+            job.note(
+                "ground beside objects stays: leaving it out needs more --memory here (--erode 0.5 asks for it)"
+            )
+    if (surface, erode) != (config.surface, config.erode):
+        job.note(
+            f"decided: the surface is the {surface} of the heights in half a pixel, without ground within "
+            f"{float(erode):g} m of objects, as the cloud is matched (--surface, --erode)"
+        )
+    job.plan = replace(plan, config=config.updated(surface=surface, erode=erode))
 
 
 def _holes(job: Job) -> list[Bounds]:

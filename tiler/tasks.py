@@ -318,7 +318,7 @@ def ground_arguments(plan: Plan) -> dict[str, Any]:
     keep = plan.config.method == KEEP
     return {
         "labels": None if keep else LABELS, "classes": list(plan.config.ground_classes) if keep else [2],
-        "skip_flags": skip_flags(plan), "erode": str(plan.meta.frame.counts(plan.config.erode)),
+        "skip_flags": skip_flags(plan), "erode": str(plan.meta.frame.counts(plan.config.erosion)),
         "erode_rise": math.ceil(ERODE_RISE_M / plan.meta.frame.metres_z),
     }  # fmt: skip
 
@@ -331,7 +331,7 @@ def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], nam
         plan.config.surface_percent,
         plan.surface_share,
     )
-    reach = full_halo(max_edge) + math.ceil(frame.counts(plan.config.erode))
+    reach = full_halo(max_edge) + math.ceil(frame.counts(plan.config.erosion))
     common = {
         "name": name, "spec": spec.to_json(), "data": assembled.bounds.to_json(), **ground_arguments(plan),
         "max_edge": str(max_edge), "halo": math.ceil(frame.counts(plan.grid_halo)),
