@@ -13,10 +13,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
+from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes, nested
 from tiler.plan.model import MAX_HALO_FACTOR
+
+WIDEST_WINDOW = MAX_EXTENT // 2
+"""Counts of a window's side with which a TIN is exact, however the method widens it."""
 
 Records = Mapping[Cell, Mapping[str, Any]]
 """Bucket -> what its assembly recorded: ``n`` points, ``n_candidates`` of them; ``n_elected``, once there are some."""
@@ -59,9 +63,11 @@ def _fitting(
     size: Fraction,
     level: int,
 ) -> Iterator[Tile]:
-    """A tile, or its quarters where its window holds too many points; one bucket is not divided."""
+    """A tile, or its quarters where its window is too wide or holds too many points; one bucket is not divided."""
     halo = math.ceil(plan.meta.frame.counts(Fraction(step.halo_m)))
-    if len(cells) > 1 and _bytes(plan, records, step, cells, halo) > plan.tile_memory:
+    window = plan.meta.bucket.hull(cells).pad(MAX_HALO_FACTOR * halo)
+    wide = max(window.x1 - window.x0, window.y1 - window.y0) > WIDEST_WINDOW
+    if len(cells) > 1 and (wide or _bytes(plan, records, step, cells, halo) > plan.tile_memory):
         quarters = _by_centre(plan.meta.bucket, cells, size / 2)
         root = name.split(".")[0]
         for place in sorted(quarters):

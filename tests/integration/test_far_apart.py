@@ -12,7 +12,10 @@ import pytest
 import rasterio
 
 from tests.invariants.runs import do, dtm, the_store
+from tiler.check import TileEdges, seam_steps
 from tiler.errors import ConfigError, InputError
+from tiler.evaluate.heights import evaluate_dtm
+from tiler.info import describe_raster
 from tiler.store import TileStore
 
 
@@ -119,6 +122,10 @@ def test_two_sites_400_km_apart(in_one_file: bool, tmp_path: Path) -> None:
     }  # fmt: skip
     assert result.summary["plan"]["projected_disk_bytes"] < 50e6
     assert (tmp_path / "out" / "report.html").exists()
+    vrt = tmp_path / "out" / "dtm.vrt"  # whoever reads it does not look at what lies between
+    assert describe_raster(vrt)["heights"]["maximum"] < 110
+    assert seam_steps(vrt, TileEdges(10))["interior"]["pairs"] > 1000
+    assert evaluate_dtm(vrt, vrt)["rmse"] == 0
     with pytest.raises(ConfigError, match=r"up to 400 km from one another: .* use --sheets or --bounds"):
         do(inputs, tmp_path / "whole", **KEEP)
     near = do(inputs, tmp_path / "part", bounds=[499_990, 4_999_990, 500_060, 5_000_060], **KEEP)

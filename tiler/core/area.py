@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +16,9 @@ import numpy.typing as npt
 from tiler.core.lattice import Bounds, Lattice
 
 Counts = npt.NDArray[np.int64]
+MOST_BOXES = 1 << 14
+"""Rectangles of cells that are looked at to find those near an area: some seconds."""
+
 Runs = list[list[int]]
 """Cells of a lattice: [iy, first ix, end ix] of neighbours in a row, row by row from the south-west."""
 
@@ -89,20 +93,23 @@ class Area:
     def cells(self, lattice: Lattice, window: Bounds, margin: int) -> Runs | None:
         """Cells that overlap ``window`` and come within ``margin`` counts of the area; None where it covers all of it.
 
-        A cell is taken or left as a whole.
+        A cell is taken or left as a whole. Where the outline is longer than some `MOST_BOXES` cells, cells farther off
+        than ``margin`` may be among those found.
         """
         if self.covers(window):
             return None
         x0, y0 = lattice.index_of(window.x0), lattice.index_of(window.y0)
         x1, y1 = lattice.index_of(window.x1 - 1) + 1, lattice.index_of(window.y1 - 1) + 1
         rows: dict[int, list[tuple[int, int]]] = {}
-        boxes = [(x0, y0, x1, y1, self._outline)]
+        boxes, looked_at = deque([(x0, y0, x1, y1, self._outline)]), 0
         while boxes:
-            x0, y0, x1, y1, outline = boxes.pop()
+            x0, y0, x1, y1, outline = boxes.popleft()
+            looked_at += 1
             bounds = Bounds(*(lattice.first(i) for i in (x0, y0, x1, y1)))
             outline = _near(outline, bounds.pad(margin))
             whole = not _near(outline, bounds).size and self._holds_corner(bounds)
-            if whole or (outline.size and (x1 - x0, y1 - y0) == (1, 1)):
+            smallest = (x1 - x0, y1 - y0) == (1, 1) or looked_at > MOST_BOXES
+            if whole or (outline.size and smallest):
                 for iy in range(y0, y1):
                     rows.setdefault(iy, []).append((x0, x1))
             elif outline.size:

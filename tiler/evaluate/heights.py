@@ -198,31 +198,36 @@ def _whole_number(value: float) -> bool:
 
 def _blocks(pair: Pair) -> Iterator[tuple[int, int, Float64s, Float64s]]:
     """Row and column of the truth, and heights of both there; NaN where there is none."""
-    for row, col, height, width in blocks_with_files(pair.truth):
+    for row, col, height, width in blocks_with_files(pair.truth, pair.dtm):
         mine = read_heights(pair.dtm, row - pair.row, col - pair.col, height, width)
         yield row, col, mine, read_heights(pair.truth, row, col, height, width)
 
 
-def blocks_with_files(raster: Any) -> Iterator[tuple[int, int, int, int]]:
-    """Row, column, height and width of the blocks of an open raster, but those of a VRT that none of its files reaches.
+def blocks_with_files(raster: Any, *others: Any) -> Iterator[tuple[int, int, int, int]]:
+    """Row, column, height and width of the blocks of an open raster, but those of a VRT that no file reaches.
 
-    A VRT over the sheets of far-apart sites has millions of these.
+    A VRT over the sheets of far-apart sites has millions of these. Files of ``others``, rasters on the same lattice,
+    count as well.
     """
     height, width = raster.shape
     if raster.driver == "VRT" and not (raster.transform.b or raster.transform.d):
-        places = sorted({place for path in raster.files for place in _reached(raster, path)})
+        files = [path for each in (raster, *others) for path in _files(each)]
+        places = sorted({place for path in files for place in _reached(raster, path)})
     else:
         places = [(row, col) for row in range(0, height, BLOCK) for col in range(0, width, BLOCK)]
     for row, col in places:
         yield row, col, min(BLOCK, height - row), min(BLOCK, width - col)
 
 
+def _files(raster: Any) -> list[str]:
+    """The files that hold the pixels of an open raster."""
+    return [path for path in raster.files if path != raster.name] if raster.driver == "VRT" else [raster.name]
+
+
 def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
-    """Row and column of the blocks of a VRT that a file of it comes near."""
+    """Row and column of the blocks of a VRT that a file comes near."""
     import rasterio
 
-    if path == vrt.name:
-        return
     with rasterio.open(path) as part:
         x0, y0, x1, y1 = part.bounds
     place = vrt.transform

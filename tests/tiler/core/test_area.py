@@ -131,3 +131,19 @@ def test_pixels_are_inside_by_their_centres() -> None:
     assert spec.inside(block, None).all()
     assert not spec.inside(block, Area(((STAR + 10_000,),))).any()
     assert spec.inside(block, Area.rectangle(Bounds(-9999, -9999, 9999, 9999))).all()
+
+
+def test_an_outline_of_thousands_of_kilometres_is_found_in_bounded_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Cells farther off may be among those found, none that is near is missing."""
+    lattice, window = Lattice(Fraction(10)), Bounds(-5000, -5000, 5000, 5000)
+    area = Area(((np.array([[-4000, -3900], [4100, -3000], [200, 4300]], np.int64),),))
+    exact = area.cells(lattice, window, 7)
+    monkeypatch.setattr("tiler.core.area.MOST_BOXES", 100)
+    rough = area.cells(lattice, window, 7)
+    assert exact is not None
+    assert rough is not None
+    y, x = (axis.ravel() for axis in np.mgrid[-500:500, -500:500])
+    assert not (in_runs(exact, x, y) & ~in_runs(rough, x, y)).any()
+    assert in_runs(rough, x, y).sum() < 2 * in_runs(exact, x, y).sum()

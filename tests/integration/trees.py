@@ -1,0 +1,317 @@
+"""Folders as people have them, made by hypothesis, and commands on them: what was there before is there after."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import laspy
+import numpy as np
+import rasterio
+from affine import Affine
+from hypothesis import strategies as st
+
+from cli.main import main
+
+CLOUDS = (
+    "a.las",
+    "A.LAS",
+    "b.laz",
+    "with space.las",
+    "new\nline.las",
+    "\x1b[31mred.las",
+    "-o.las",
+    "\udcff.las",
+    "ü.laz",
+)
+FOLDERS = (
+    "in",
+    "in/sub",
+    "IN",
+    "out",
+    "out/classified",
+    "out/outdated",
+    "out/store.zarr",
+    "out/dtm",
+    "store",
+    "pictures",
+)
+OTHERS = (
+    "notes.txt", "dtm.tif", "dtm.vrt", "DTM.tif", "run.json", "events.jsonl", "report.html", "check.json", "zarr.json",
+    "a.laz", "p.png", "d.tif", "x.partial", "dtm.tif.plain.partial", "run.json.partial", "c", "0", "index", "lock.json",
+)  # fmt: skip
+WEST, SOUTH, SIDE = 500_000.0, 5_400_000.0, 12.0
+
+
+@dataclass
+class Tree:
+    """A folder, and which files in it a command made: these may change, all others may not."""
+
+    root: Path
+    made: dict[str, str] = field(default_factory=dict)
+
+    def state(self) -> dict[str, str]:
+        """Path -> digest of each file, target of each link; links are not followed."""
+        found = {}
+        for folder, folders, files in os.walk(self.root):
+            for name in [*files, *(f for f in folders if os.path.islink(os.path.join(folder, f)))]:
+                path = os.path.join(folder, name)
+                place = os.path.relpath(path, self.root)
+                if os.path.islink(path):
+                    found[place] = f"-> {os.readlink(path)}"
+                else:
+                    with open(path, "rb") as stream:
+                        found[place] = hashlib.blake2b(stream.read(), digest_size=16).hexdigest()
+        return found
+
+    def harmed(self, before: dict[str, str], named: set[str]) -> list[str]:
+        """Files of the user that are not what they were; what commands made is known from now on.
+
+        A file that the user put in the place of a result may have been moved aside, whole.
+        """
+        after = self.state()
+        aside = {digest for place, digest in after.items() if "outdated" in place.split(os.sep)}
+        own = {place for place, digest in before.items() if self.made.get(place) == digest}
+        results = set(self.made)
+        found = []
+        for place, digest in before.items():
+            if place in own or place in named or after.get(place) == digest:
+                continue
+            if place in results and digest in aside:
+                continue
+            found.append(place)
+        for place, digest in after.items():
+            if before.get(place) != digest and place not in found:
+                self.made[place] = digest
+        return found
+
+
+@cache
+def cloud_bytes(suffix: str, seed: int) -> bytes:
+    """A slope of a few points as a file."""
+    random = np.random.default_rng(seed)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = np.array([WEST, SOUTH, 0.0]), np.full(3, 0.01)
+    las = laspy.LasData(header)
+    x, y = random.random((2, 60)) * SIDE
+    las.x, las.y, las.z = WEST + x, SOUTH + y, 100 + 0.1 * x + 0.01 * seed
+    las.classification[:] = np.where(random.random(60) < 0.9, 2, 1)
+    las.return_number[:] = 1
+    las.number_of_returns[:] = 1
+    with tempfile.TemporaryDirectory() as folder:
+        las.write(Path(folder) / f"x{suffix}")
+        return (Path(folder) / f"x{suffix}").read_bytes()
+
+
+@cache
+def raster_bytes() -> bytes:
+    """Heights of the slope."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "d.tif"
+        heights = np.full((12, 12), 100, np.float32) + 0.1 * np.arange(12, dtype=np.float32)
+        with rasterio.open(
+            path, "w", driver="GTiff", height=12, width=12, count=1, dtype="float32", nodata=-9999.0,
+            crs="EPSG:25832", transform=Affine(1, 0, WEST, 0, -1, SOUTH + SIDE),
+        ) as raster:  # fmt: skip
+            raster.write(heights, 1)
+        return path.read_bytes()
+
+
+def content(kind: str, seed: int) -> bytes:
+    """Bytes of a file of some kind."""
+    if kind in (".las", ".laz"):
+        return cloud_bytes(kind, seed)
+    if kind == "points":
+        lines = (b"%.1f,%.1f,100.4\n" % (WEST + i, SOUTH + i) for i in range(2, 9))
+        return b"x,y,z\n" + b"".join(lines)
+    return {
+        "raster": raster_bytes(),
+        "text": b"mine %d\n" % seed,
+        "empty": b"",
+        "json": b'{"state": "done"}',
+    }[kind]
+
+
+PLACES = st.one_of(
+    st.builds(
+        lambda f, n: f"{f}/{n}", st.sampled_from(("in", "in", "in/sub", *FOLDERS)), st.sampled_from(CLOUDS)
+    ),
+    st.builds(lambda f, n: f"{f}/{n}", st.sampled_from((*FOLDERS, "out")), st.sampled_from(OTHERS)),
+    st.sampled_from(("a.las", "notes.txt", "d.tif", "preview.png")),
+)
+"""Where things lie."""
+
+THINGS = st.tuples(
+    PLACES,
+    st.sampled_from(
+        ("file", "file", "file", "file", "file", "link", "hard link", "folder", "link to folder")
+    ),
+    st.sampled_from(("text", "raster", "empty", "json", ".las", ".laz")),
+    st.integers(0, 3),
+    st.one_of(PLACES, st.sampled_from(FOLDERS)),
+)
+
+
+def put(tree: Tree, thing: tuple[str, str, str, int, str]) -> None:
+    """Put a thing into the tree, as its owner does; where there is no room for it, nothing."""
+    place, what, kind, seed, target = thing
+    path, other = tree.root / place, tree.root / target
+    suffix = os.path.splitext(place)[1].lower()
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if what == "folder":
+            path.mkdir()
+        elif what == "link":
+            path.symlink_to(os.path.relpath(other, path.parent))
+        elif what == "link to folder":
+            folder = tree.root / os.path.dirname(place)
+            (folder.parent / f"{folder.name}-link").symlink_to(folder.name)
+        elif what == "hard link":
+            os.link(other, path)
+        else:
+            data = content(suffix if suffix in (".las", ".laz") else kind, seed)
+            if path.is_symlink():
+                path.unlink()
+            path.write_bytes(data)
+
+
+INPUTS = st.one_of(
+    st.just(["in"]),
+    st.lists(
+        st.sampled_from(("in", ".", "in/sub", "IN", "a.las", "in/a.las", "in/*.la?", "out", "in-link")),
+        min_size=1,
+        max_size=2,
+    ),
+)
+OUTS = st.one_of(
+    st.just("out"),
+    st.sampled_from(("in", ".", "out/classified", "in/sub", "new", "out-link", "pictures", "a.las")),
+)
+STORES = st.one_of(
+    st.none(), st.sampled_from((None, "store", "out", "in", "out/classified", "out-link", "."))
+)
+FLAGS = st.lists(
+    st.sampled_from(("--overwrite", "--clean-store", "--verify", "--sheets=6", "--products=dtm,hillshade")),
+    max_size=2,
+    unique=True,
+)
+ANY = st.sampled_from(("in/a.las", "out/run.json", "notes.txt", "d.tif", "in-link/a.las", "in/A.LAS", "out"))
+SOURCES = st.one_of(
+    st.sampled_from(("in/a.las", "a.las", "in/b.laz", "in-link/a.las", "out/classified/a.laz")), ANY
+)
+TARGETS = st.one_of(
+    st.sampled_from(
+        ("new/x.laz", "out/classified/a.laz", "in/b.laz", "a.laz", "IN/a.laz", "in/a.laz", "out/a.laz")
+    ),
+    ANY,
+)
+PICTURES = st.one_of(
+    st.sampled_from(("preview.png", "pictures/p.png", "in/p.png", "out/p.png", "out-link/p.png")), ANY
+)
+RASTERS = st.one_of(
+    st.sampled_from(("out/dtm.tif", "d.tif", "d.tif", "in/d.tif", "out/dtm.vrt", "out-link/dtm.tif")), ANY
+)
+
+
+def run_line(
+    inputs: list[str], out: str, store: str | None, flags: list[str], stage: str, method: str
+) -> list[str]:
+    """Arguments of a run, or of a stage of it."""
+    chosen = [] if store is None else ["--store", store]
+    how = ["--method", method, "--crs", "EPSG:25832", "--in-process"]
+    return [stage, *inputs, "-o", out, *how, *chosen, *flags, "-q"]
+
+
+METHODS = st.sampled_from(("keep", "keep", "classic"))
+COMMANDS = st.one_of(
+    st.builds(
+        run_line,
+        INPUTS,
+        OUTS,
+        STORES,
+        FLAGS,
+        st.sampled_from(("run", "run", "run", "ingest", "grid")),
+        METHODS,
+    ),
+    st.builds(
+        lambda out, store: ["clean", out, *([] if store is None else ["--store", store])], OUTS, STORES
+    ),
+    st.builds(lambda out: ["report", out, "-q"], OUTS),
+    st.builds(
+        lambda i, o: ["preview", *i, "-o", o, "--method", "keep", "--crs", "EPSG:25832", "-q"],
+        INPUTS,
+        PICTURES,
+    ),
+    st.builds(lambda i, o: ["classify", i, o, "--method", "classic", "-q"], SOURCES, TARGETS),
+    st.builds(
+        lambda d, t, o: ["evaluate", "--dtm", d, "--true-dtm", t, "--difference", o, "-q"],
+        RASTERS,
+        RASTERS,
+        RASTERS,
+    ),
+    st.builds(lambda c, m: ["evaluate", c, "--reference", "in", "--maps", m, "-q"], SOURCES, OUTS),
+    st.builds(lambda d, f: ["check", d, "--points", "points.csv", "--figures", f, "-q"], RASTERS, OUTS),
+)
+
+
+def named_by(arguments: list[str]) -> set[str]:
+    """The one file that a command is told to write; it is replaced, as its help says, unless it is refused."""
+    command = arguments[0]
+    if command == "classify":
+        return {os.path.normpath(arguments[2])}
+    for option in ("-o", "--difference"):
+        if option in arguments and command in ("preview", "evaluate"):
+            return {os.path.normpath(arguments[arguments.index(option) + 1])}
+    return set()
+
+
+RUNS = st.builds(run_line, INPUTS, st.just("out"), STORES, FLAGS, st.just("run"), METHODS)
+MORE = st.lists(
+    st.one_of(
+        st.tuples(st.just("put"), THINGS),
+        st.tuples(st.just("command"), COMMANDS),
+        st.tuples(st.just("command"), COMMANDS),
+    ),
+    min_size=1,
+    max_size=3,
+)
+STEPS = st.one_of(MORE, st.builds(lambda first, rest: [("command", first), *rest], RUNS, MORE))
+TREES = st.lists(THINGS, min_size=2, max_size=9)
+
+
+@contextlib.contextmanager
+def planted(things: list[tuple[str, str, str, int, str]]) -> Iterator[Tree]:
+    """A tree of things, which is the current folder; it always has clouds, a raster and checkpoints to begin with."""
+    before = os.getcwd()
+    with tempfile.TemporaryDirectory() as scratch:
+        tree = Tree(Path(scratch).resolve() / "tree")
+        begin = [("in/a.las", ".las"), ("a.las", ".las"), ("d.tif", "raster"), ("points.csv", "points")]
+        for thing in [*((place, "file", kind, 0, "") for place, kind in begin), *things]:
+            put(tree, thing)
+        os.chdir(tree.root)
+        try:
+            yield tree
+        finally:
+            os.chdir(before)
+
+
+def tried(tree: Tree, arguments: list[str]) -> None:
+    """Run a command; raises AssertionError where it harmed a file, or ended in a way that nobody planned."""
+    before = tree.state()
+    named = named_by(arguments)
+    told = io.StringIO()
+    with contextlib.redirect_stderr(told), contextlib.redirect_stdout(told):
+        code = main(arguments)
+    assert "unexpected " not in told.getvalue(), (arguments, told.getvalue())
+    harmed = tree.harmed(before, named)
+    assert not harmed, f"{arguments} harmed {harmed} (code {code})"
+    inputs = {p for p in named if p in before and not before[p].startswith("->") and p in arguments[1:2]}
+    assert all(tree.state().get(p) == before[p] for p in inputs), f"{arguments} wrote over its input"
+    assert code in (0, 2, 3, 4, 5, 6), (arguments, code)
