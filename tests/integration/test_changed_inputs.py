@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tests.invariants import clouds
-from tests.invariants.runs import do
-from tiler import identity, tasks
+from tests.invariants.runs import do, settings
+from tiler import classify, identity, tasks
 from tiler.errors import InputError
 from tiler.export import write_classified
 from tiler.ingest import spool_piece
@@ -178,3 +178,15 @@ def test_an_empty_file_and_one_that_went_away(
             ):
                 do([empty, path], tmp_path / name)
         aside.rename(path)
+
+
+def test_classify_writes_no_classes_of_another_file(
+    files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, path, other = files
+    monkeypatch.setattr(
+        classify, "write_classified", before_the_first(write_classified, lambda: in_place(path, other))
+    )
+    with pytest.raises(InputError, match=rf"east\.las: {CHANGED}"):
+        classify.classify_file(path, tmp_path / "out.laz", settings())
+    assert not (tmp_path / "out.laz").exists()
