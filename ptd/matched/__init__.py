@@ -5,8 +5,6 @@ lowest point of a cell says little. Every module here works on rasters of cells 
 
 cells
     one robust height per cell.
-noise
-    the noise of the run.
 hull
     the highest surface below the cells that bends down no more than a given curvature.
 objects
@@ -15,4 +13,8 @@ surface
     hulls of several curvatures, and the mean of the cells that lie about them.
 voting
     points against the surface; neighbours vote.
+passes
+    all of it as passes of `ptd.methods.auto`.
+
+The noise of the run that they start from is that of the smoothest places (`ptd.roughness`, ``smoothest_m``).
 """

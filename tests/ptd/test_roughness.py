@@ -86,6 +86,33 @@ def test_lawns_do_not_raise_it() -> None:
     assert of(counts(x, y, sigma * rng.standard_normal(x.size))).sigma_m == pytest.approx(0.03, abs=0.004)
 
 
+@pytest.mark.parametrize("sigma", [0.03, 0.06, 0.12])
+@pytest.mark.parametrize("density", [10.0, 40.0])
+def test_smoothest_places_tell_the_noise_whatever_stands_on_the_ground(sigma: float, density: float) -> None:
+    """Plants, slopes and steps everywhere but in a corner, which is no larger than 30 m x 30 m of 60 m x 60 m."""
+    x, y, rng = field(7, density=density)
+    z = 0.3 * x + sigma * rng.standard_normal(x.size)
+    bare = of(counts(x, y, z)).smoothest_m
+    z += np.where((x < 30) & (y < 30), 0.0, rng.uniform(0.0, 0.9, x.size))
+    among_plants = of(counts(x, y, z)).smoothest_m
+    # With 40 points a quarter the lowest twentieth of all is 0.8 of the noise, of a quarter of them 0.85.
+    assert bare == pytest.approx(sigma, rel=0.15)
+    assert among_plants == pytest.approx(sigma, rel=0.2)
+
+
+def test_quarters_by_hand() -> None:
+    """Four quarters of 16 points, heights +-h like a chessboard: sum of squares 16 h^2 each, 13 degrees of freedom."""
+    steps = np.arange(8) * 0.5 + 0.25
+    x, y = (a.ravel() for a in np.meshgrid(steps, steps))
+    z = 12.0 + 0.05 * np.where((np.floor(x * 2) + np.floor(y * 2)) % 2, 1, -1)
+    part = measure(counts(x, y, z), EVERYTHING, EVERYTHING, MM)
+    assert sum(n for _, n in part["quarters"]) == 4
+    assert merge([part]).smoothest_m == pytest.approx(1.25 * 0.05 * math.sqrt(16 / 13), abs=2 * BIN_M)
+    few = measure(counts(x[::2], y[::2], z[::2]), EVERYTHING, EVERYTHING, MM)
+    assert few["quarters"] == []
+    assert merge([few]).smoothest_m is None
+
+
 def test_a_few_patches_among_many_cells_tell_nothing() -> None:
     part = {"points": 1000, "cells": 60, "full": 50, "patches": [[30, 1]], "quarters": []}
     assert merge([part]).sigma_m == pytest.approx(0.0305)

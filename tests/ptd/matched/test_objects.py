@@ -1,0 +1,126 @@
+"""Large objects as wholes: halls, terraces, widths, what stands on or leans on what was found, and slopes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ptd.frame import Scale
+from ptd.matched.cells import EMPTY
+from ptd.matched.hull import hull_below, tilts
+from ptd.matched.objects import WIDEST_M, _surfaces, judged
+from ptd.matched.surface import STIFF
+
+MM = Scale()
+SIGMA_M = 0.05
+
+
+def of(z: np.ndarray, removed: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Objects and terrain among the cells with a height (metres; NaN: none) that are not removed."""
+    removed = np.zeros(z.shape, bool) if removed is None else removed
+    heights = np.where(np.isnan(z), EMPTY, np.rint(1000 * np.nan_to_num(z))).astype(np.int32)
+    hull = hull_below(heights, STIFF, MM, 0, 0)
+    left = np.where(removed, EMPTY, heights).astype(np.int32)
+    objects, terrain = judged(left, hull, removed, SIGMA_M, MM)
+    assert not (objects & (left == EMPTY)).any()
+    assert not (objects & terrain).any()
+    return objects, terrain
+
+
+def box(side: int, *bounds: int) -> np.ndarray:
+    south, north, west, east = bounds
+    found = np.zeros((side, side), bool)
+    found[south:north, west:east] = True
+    return found
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3])
+def test_a_hall_goes_and_the_ground_around_it_is_terrain(slope: float) -> None:
+    hall = box(140, 40, 80, 50, 100)
+    row = np.mgrid[:140, :140][0]
+    objects, terrain = of(slope * row + 8.0 * hall)
+    assert np.array_equal(objects, hall)
+    assert np.array_equal(terrain, ~hall)
+
+
+def test_a_court_within_a_hall_stays() -> None:
+    hall, court = box(140, 40, 100, 40, 100), box(140, 60, 80, 60, 80)
+    objects, _ = of(8.0 * (hall & ~court))
+    assert np.array_equal(objects, hall & ~court)
+
+
+def test_a_terrace_that_falls_on_one_side_stays() -> None:
+    terrace = box(140, 50, 90, 50, 90)
+    z = np.where(np.mgrid[:140, :140][0] < 50, 0.0, 8.0)
+    objects, _ = of(np.where(terrace, 4.0, z))
+    assert not objects[terrace].any()
+
+
+@pytest.mark.parametrize(("wide", "is_object"), [(int(WIDEST_M), True), (int(WIDEST_M) + 1, False)])
+def test_what_is_wider_than_a_limit_is_terrain(wide: int, is_object: bool) -> None:
+    side = 260
+    plateau = box(side, 100, 150, 30, 30 + wide)
+    objects, terrain = of(8.0 * plateau)
+    assert (objects[plateau] == is_object).all()
+    assert (terrain[plateau] != is_object).all()
+    assert not objects[~plateau].any()
+
+
+@pytest.mark.parametrize(("side_m", "is_object"), [(6, False), (8, True)])
+def test_small_objects_are_left_to_less_stiff_hulls(side_m: int, is_object: bool) -> None:
+    house = box(100, 40, 40 + side_m, 40, 40 + side_m)
+    objects, _ = of(5.0 * house)
+    assert (objects[house] == is_object).all()
+
+
+def test_equipment_on_a_roof_goes_with_it() -> None:
+    hall, equipment = box(120, 40, 80, 40, 80), box(120, 55, 60, 55, 60)
+    z = 8.0 * hall + 2.0 * equipment
+    first, _ = of(z)
+    assert np.array_equal(first, hall & ~equipment)
+    again, _ = of(z, first)
+    assert np.array_equal(again, equipment)
+    alone, _ = of(2.0 * equipment)
+    assert not alone.any()
+
+
+def test_a_platform_that_leans_on_a_hall_goes_after_it() -> None:
+    hall, platform = box(140, 40, 80, 40, 80), box(140, 45, 75, 80, 95)
+    z = 9.0 * hall + 4.0 * platform
+    first, _ = of(z)
+    again, _ = of(z, first & hall)
+    assert np.array_equal(first | again, hall | platform)
+    assert np.array_equal(of(z, hall)[0], platform)
+
+
+@pytest.mark.parametrize("slope", [0.3, 1.0, 1.8])
+def test_a_slope_is_one_surface(slope: float) -> None:
+    row, column = np.mgrid[:140, :140]
+    heights = np.rint(1000 * (slope * row + 0.1 * column)).astype(np.int32)
+    surface, _ = _surfaces(heights, 500.0, *tilts(heights))
+    inner = surface[24:-24, 24:-24]
+    assert (inner == inner[0, 0]).all()
+
+
+def test_surfaces_are_connected_cells_of_like_heights() -> None:
+    """Steps of 0.6 m part neighbours, of 0.4 m not; across corners 0.6 m does not either."""
+    z = np.full((16, 16), EMPTY, np.int32)
+    z[2, 2:5] = 0, 400, 1000
+    z[3, 5] = 1600
+    z[10, 10] = 0
+    flat = np.zeros((2, 2), np.int64)
+    surface, n = _surfaces(z, 500.0, flat, flat)
+    assert n == 3
+    assert surface[2, 2] == surface[2, 3] != surface[2, 4] == surface[3, 5]
+    assert surface[10, 10] not in (surface[2, 2], surface[2, 4], -1)
+    assert np.array_equal(surface == -1, z == EMPTY)
+
+
+def test_noise_widens_the_step() -> None:
+    rng = np.random.default_rng(2)
+    z = 0.3 * rng.standard_normal((120, 120))
+    heights = np.rint(1000 * z).astype(np.int32)
+    hull = hull_below(heights, STIFF, MM, 0, 0)
+    nothing = np.zeros(z.shape, bool)
+    _, terrain = judged(heights, hull, nothing, 0.3, MM)
+    assert terrain.mean() > 0.99

@@ -1,0 +1,136 @@
+"""What the passes of matched clouds hand to each other, when they apply, and what they start from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ptd.frame import Cells, Scale, Window
+from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
+from ptd.matched.cells import cell_heights, raster_of
+from ptd.matched.passes import OBJECT, PASSES, CellModel, Codes, GroundModel, ObjectPass, _between, noise_m
+from ptd.matched.surface import Surface
+from ptd.methods.auto import Auto
+from ptd.methods.auto_settings import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen, decided
+from ptd.passes import Points
+from ptd.roughness import Roughness
+
+MM = Scale()
+
+
+def survey(
+    smoothest_m: float | None, sigma_m: float | None = None, kind: str | None = "dim"
+) -> dict[str, Any]:
+    found = Roughness(12.0, 0.05, 100, smoothest_m)
+    run = {"rgb": True, "sigma_m": sigma_m, "kind": kind}
+    return {"survey": decided(Auto(), found, Seen(0, 0, 100, 0), run)[0]}
+
+
+@pytest.mark.parametrize(
+    ("smoothest", "given", "expected"),
+    [
+        (0.07, None, 0.07),
+        (0.07, 0.12, 0.12),
+        (None, None, LEAST_CELL_SIGMA_M),
+        (0.001, None, LEAST_CELL_SIGMA_M),
+        (0.9, None, MOST_CELL_SIGMA_M),
+        (0.07, 0.9, MOST_CELL_SIGMA_M),
+    ],
+)
+def test_noise_is_that_of_the_smoothest_places_within_limits(
+    smoothest: float | None, given: float | None, expected: float
+) -> None:
+    assert noise_m(survey(smoothest, given)) == expected
+
+
+@pytest.mark.parametrize(
+    ("density", "seen", "expected"),
+    [
+        (12.0, Seen(0, 0, 1000, 0), "dim"),
+        (12.0, Seen(9000, 0, 1000, 4), "dim"),
+        (12.0, Seen(0, 0, 1000, 20), "lidar"),
+        (12.0, Seen(9000, 90, 1000, 0), "lidar"),
+        (3.0, Seen(0, 0, 1000, 0), "lidar"),
+    ],
+)
+def test_colours_have_no_part_in_what_a_cloud_is_taken_for(density: float, seen: Seen, expected: str) -> None:
+    for rgb in (False, True):
+        run = {"rgb": rgb, "sigma_m": None, "kind": None}
+        found, notes = decided(Auto(), Roughness(density, 0.05, 100, 0.05), seen, run)
+        assert found["kind"] == expected
+        assert ("image matching" in notes[0]) == (expected == "dim")
+
+
+def test_each_kind_has_passes_of_its_own() -> None:
+    def names(state: dict[str, Any]) -> list[str]:
+        return [p.name for p in Auto().passes if p.applies(state)]
+
+    matched, laser = names(survey(0.05)), names(survey(0.05, kind="lidar"))
+    assert matched == ["survey", "cells", "objects", "inner-objects", "surface"]
+    assert set(matched) & set(laser) == {"survey"}
+    assert not any(p.applies({}) for p in PASSES)
+
+
+def test_how_far_they_see() -> None:
+    """Where a change of the rules changes the reach, halos and the documents that name them change too."""
+    assert [p.reach_m for p in PASSES] == [4.0, 318.0, 318.0, 351.0]
+
+
+def test_elected_cells_are_those_of_the_bounds_and_are_labelled_by_cell() -> None:
+    rng = np.random.default_rng(2)
+    xyz = rng.integers(0, (20_000, 20_000, 300), (9000, 3)).T.astype(np.int32)
+    elected = CellModel(cell_heights(xyz, Window.everything(), MM, 0.05))
+    half = elected.elect(Window(0, 0, 10_000, 20_000))
+    assert half.shape[1] == 200
+    assert half[0].max() == 9500
+    cells = Cells.of(1.0, MM)
+    raster = raster_of(half, cells)
+    codes = rng.integers(1, 4, 200).astype(np.uint8)
+    order = rng.permutation(200)
+    labels, doubtful = Codes(raster, codes, cells).label(Points(half[:, order]))
+    assert np.array_equal(labels, codes[order])
+    assert not doubtful.any()
+
+
+def test_objects_found_before_stay_objects() -> None:
+    rng = np.random.default_rng(3)
+    xyz = rng.integers(0, (30_000, 30_000, 100), (9000, 3)).T.astype(np.int32)
+    cells = cell_heights(xyz, Window.everything(), MM, 0.05)
+    before = np.where(cells[0] < 9000, np.uint8(OBJECT), np.uint8(1))
+    everything = Window.everything()
+    model = ObjectPass().fit(Points(cells, before), everything, everything, MM, survey(0.05))
+    labels, _ = model.label(Points(cells))
+    assert (labels[before == OBJECT] == OBJECT).all()
+    assert (labels != OBJECT).any()
+
+
+def test_points_are_ground_within_the_tolerance_about_the_surface_and_low_noise_below() -> None:
+    """A flat surface at 10 m, noise 0.1 m: ground to 0.3 m, low noise from 0.9 m below on; in plants half of 0.3 m."""
+    z = np.array([10.0, 10.29, 10.31, 9.71, 9.69, 9.11, 9.09, 3.0, 12.5])
+    x = np.round(3000 + 2000 * np.arange(z.size)).astype(np.int32)  # too far apart to vote
+    cells = Cells.of(1.0, MM)
+    at = np.arange(500, 24_000, 1000, dtype=np.int32)
+    cx, cy = (a.ravel() for a in np.meshgrid(at, at))
+    raster = raster_of(np.stack([cx, cy, np.full_like(cx, 10_000)]), cells)
+
+    def labels(narrowing: float) -> list[int]:
+        shape = raster.heights.shape
+        found = Surface(np.full(shape, 10.0), np.full(shape, 0.1), np.full(shape, narrowing))
+        model = GroundModel(raster, found, cells, MM, survey(0.1)["survey"])
+        xyz = np.stack([x, np.full_like(x, 5300), np.rint(1000 * z).astype(np.int32)])
+        return model.label(Points(xyz))[0].tolist()
+
+    g, u, n = int(GROUND), int(UNCLASSIFIED), int(LOW_NOISE)
+    assert labels(1.0) == [g, g, u, g, u, u, n, n, u]
+    assert labels(0.5) == [g, u, u, u, u, u, n, n, u]
+
+
+def test_heights_between_cells_are_those_of_a_plane() -> None:
+    row, column = np.mgrid[:6, :8].astype(float)
+    v, u = np.array([0.0, 2.25, 4.99]), np.array([0.5, 3.75, 6.99])
+    assert np.allclose(_between(2 * row - 3 * column, v, u), 2 * v - 3 * u)
+    assert np.isnan(_between(row, np.array([-0.1, 5.0, 2.0]), np.array([2.0, 2.0, 7.5]))).all()
+    row[2, 3] = np.nan
+    assert np.isnan(_between(row, np.array([1.5]), np.array([2.5]))).all()
