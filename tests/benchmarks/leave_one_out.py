@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from statistics import mean
@@ -29,7 +29,7 @@ class Fold:
     """A sample left out: what was best on the others, and total errors (fractions) of that and of the default."""
 
     sample: str
-    settings: dict[str, float]
+    settings: dict[str, Any]
     total: float
     default: float
 
@@ -49,7 +49,7 @@ class LeaveOneOut:
         Least mean total error of one combination on all samples.
     """
 
-    grid: dict[str, tuple[float, ...]]
+    grid: dict[str, tuple[Any, ...]]
     settings: int
     folds: list[Fold]
     best: float
@@ -62,7 +62,10 @@ def default_grid() -> dict[str, tuple[float, ...]]:
 
 
 def leave_one_out(
-    samples: Mapping[str, Cloud], grid: Mapping[str, tuple[float, ...]] | None = None
+    samples: Mapping[str, Cloud],
+    grid: Mapping[str, tuple[Any, ...]] | None = None,
+    default: Mapping[str, Any] | None = None,
+    error: Callable[[Cloud, Mapping[str, Any]], float] | None = None,
 ) -> LeaveOneOut:
     """Score all combinations on all samples, then choose for each sample without it; ties go to the default.
 
@@ -71,17 +74,22 @@ def leave_one_out(
     samples : mapping
         Two or more clouds by name.
     grid : mapping, optional
-        Values by name of a parameter of `auto`, its default among them; `default_grid`.
+        Values by name of a setting, its default among them; `default_grid`.
+    default : mapping, optional
+        The values that are used without a choice; those of `auto`'s parameters.
+    error : callable, optional
+        What is to be least, of a cloud and the values of a combination; `total_error`.
     """
     chosen = dict(grid or default_grid())
-    default = {name: getattr(Auto(), name) for name in chosen}
+    usual = dict(default or {name: getattr(Auto(), name) for name in chosen})
+    measure = error or total_error
     combinations = [dict(zip(chosen, values, strict=True)) for values in product(*chosen.values())]
-    combinations.sort(key=lambda c: c != default)  # a stable sort: the default first
-    totals = np.array([[total_error(cloud, c) for cloud in samples.values()] for c in combinations])
+    combinations.sort(key=lambda c: c != usual)  # a stable sort: the default first
+    totals = np.array([[measure(cloud, c) for cloud in samples.values()] for c in combinations])
     folds = []
     for k, name in enumerate(samples):
         first = int(np.delete(totals, k, axis=1).mean(axis=1).argmin())
-        changed = {p: v for p, v in combinations[first].items() if v != default[p]}
+        changed = {p: v for p, v in combinations[first].items() if v != usual[p]}
         folds.append(Fold(name, changed, float(totals[first, k]), float(totals[0, k])))
     return LeaveOneOut(chosen, len(combinations), folds, min(mean(row) for row in totals.tolist()))
 

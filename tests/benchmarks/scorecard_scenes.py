@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,8 +14,12 @@ VIRTUAL = 66
 
 ISPRS_SAMPLES = "ISPRS samples"
 OTHER_REAL = "other real clouds"
+SEMI_REAL = "semi-real image matching"
+"""Surfaces of real sites, made of classified laser scans, as a simulated matcher sees them: their truth is complete."""
+
 SIMULATED = {"als": "simulated laser scanning", "dim": "simulated image matching"}
 
+SEMI_REAL_SCENES = ("rows", "garden", "industry", "houses", "suburb", "bluff", "forest")
 ISPRS = ("11", "12", "22", "24", "31", "42", "51", "53")
 
 
@@ -33,7 +37,7 @@ class Cloud:
     returns : uint8 [n, 2] or None
         Return number and number of returns.
     truth : callable or None
-        True height of the ground at x, y, metres; for scenes from (0, 0) to (side_m, side_m).
+        True height of the ground at x, y, metres, NaN where it is unknown; for scenes from (0, 0) to (side_m, side_m).
     side_m : float
     """
 
@@ -98,6 +102,40 @@ def real_scenes(data: Path) -> Iterator[BenchScene]:
         if paths and all(path.is_file() for path in paths):
             group = family if family == ISPRS_SAMPLES else OTHER_REAL
             yield BenchScene(name, family, group, partial(read_clouds, paths))
+
+
+def semi_real_scenes(data: Path) -> Iterator[BenchScene]:
+    """The semi-real matched clouds of a folder of real data; nothing of what is not there."""
+    for name in SEMI_REAL_SCENES:
+        cloud, dtm = data / f"dim/semireal/{name}.laz", data / f"dim/semireal/{name}_dtm.tif"
+        if cloud.is_file() and dtm.is_file():
+            yield BenchScene(name, SEMI_REAL, SEMI_REAL, partial(read_with_dtm, cloud, dtm))
+
+
+def read_with_dtm(cloud: Path, dtm: Path) -> Cloud:
+    """A cloud and its true terrain; (0, 0) is the south-west corner of the latter, which lies at whole metres."""
+    import rasterio
+
+    with rasterio.open(dtm) as raster:
+        heights = raster.read(1, masked=True).astype(np.float64).filled(np.nan)
+        bounds, (pixel_m, _) = raster.bounds, raster.res
+    found = read_clouds([cloud])
+    truth = partial(bilinear, heights, pixel_m)
+    side_m = max(bounds.right - bounds.left, bounds.top - bounds.bottom)
+    xyz = found.xyz - (bounds.left, bounds.bottom, 0.0)
+    return replace(found, xyz=xyz, truth=truth, side_m=side_m)
+
+
+def bilinear(heights: np.ndarray, pixel_m: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Heights between the centres of a raster's pixels, rows from north to south; NaN beside pixels without a height.
+
+    (0, 0) is the south-west corner of the raster.
+    """
+    from scipy.ndimage import map_coordinates
+
+    rows, columns = heights.shape[0] - y / pixel_m - 0.5, x / pixel_m - 0.5
+    found: np.ndarray = map_coordinates(heights, [rows, columns], order=1, mode="constant", cval=np.nan)
+    return found
 
 
 def simulated_scenes() -> Iterator[BenchScene]:

@@ -7,6 +7,7 @@ from statistics import mean, median
 from typing import TYPE_CHECKING
 
 from tests.benchmarks.published import MEANS, PER_SAMPLE, RMSES
+from tests.benchmarks.scorecard_scenes import SEMI_REAL
 
 if TYPE_CHECKING:
     from tests.benchmarks.leave_one_out import LeaveOneOut
@@ -47,7 +48,7 @@ def markdown(cells: Sequence[Cell], reference: str, repeats: int, chosen: LeaveO
         parts += [f"## {_capital(group)}\n", _scenes([c for c in cells if c.group == group])]
     parts += ["## Speed and memory\n", _speed(cells, reference)]
     if chosen is not None:
-        parts += ["## `auto`, chosen on all ISPRS samples but one\n", _chosen(chosen)]
+        parts += ["## `auto`, chosen on all ISPRS samples but one\n", chosen_without(chosen)]
     refusals = {(c.method, c.refusal): c for c in cells if c.refusal is not None}
     if refusals:
         parts += ["## What refused, and why\n", _refusals(cells)]
@@ -87,7 +88,7 @@ def _means(cells: Sequence[Cell], families: Sequence[str]) -> str:
     simulated = [c for c in cells if c.group.startswith("simulated")]
     rows = [_mean_row(cells, f, [c for c in cells if c.family == f]) for f in families]
     if simulated:
-        real = [c for c in cells if c not in simulated]
+        real = [c for c in cells if c not in simulated and c.group != SEMI_REAL]
         rows += [
             _mean_row(cells, name, own)
             for name, own in (("all real", real), ("all simulated", simulated))
@@ -170,11 +171,13 @@ def _speed(cells: Sequence[Cell], reference: str) -> str:
     return f"{note}; medians over the scenes of a class.\n\n" + table(["class", *_methods(cells)], rows)
 
 
-def _chosen(found: LeaveOneOut) -> str:
+def chosen_without(found: LeaveOneOut) -> str:
     """What each sample got from the settings that were best on the others."""
-    grid = "; ".join(f"`{name}` {', '.join(f'{v:g}' for v in values)}" for name, values in found.grid.items())
+    grid = "; ".join(
+        f"`{name}` {', '.join(_value(v) for v in values)}" for name, values in found.grid.items()
+    )
     rows = [
-        [fold.sample, ", ".join(f"{k} {v:g}" for k, v in fold.settings.items()) or "the default",
+        [fold.sample, ", ".join(f"{k} {_value(v)}" for k, v in fold.settings.items()) or "the default",
          percent(fold.default), percent(fold.total)]
         for fold in found.folds
     ]  # fmt: skip
@@ -187,6 +190,11 @@ def _chosen(found: LeaveOneOut) -> str:
         f"The best of the grid on all samples, chosen with hindsight: {percent(found.best)}.\n\n"
         + table(["sample", "what was best on the others", "default", "left out"], rows)
     )
+
+
+def _value(value: float | tuple[float, ...]) -> str:
+    """A number, or two limits."""
+    return " to ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else f"{value:g}"
 
 
 def _over(part: float | None, whole: float | None) -> float | None:
