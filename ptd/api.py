@@ -107,11 +107,8 @@ def do_passes(
     """All passes of a method on one window that apply: labels, state, and the statistics of each pass."""
     state: dict[str, Any] = {"run": asdict(facts)}
     stats = {}
-    cloud = _Cloud(Points(counts, np.zeros(counts.shape[1], np.uint8), **columns))
-    if params.candidate_cell_m and not all(step.every_point for step in params.passes):
-        cell = Cells.of(params.candidate_cell_m, scale)
-        cloud.index = lowest_per_cell(counts[0], counts[1], counts[2], cell)
-        cloud.some = cloud.everything.take(cloud.index)
+    cell = Cells.of(params.candidate_cell_m, scale) if params.candidate_cell_m else None
+    cloud = _Cloud(Points(counts, np.zeros(counts.shape[1], np.uint8), **columns), cell)
     for number, step in enumerate(params.passes):
         if not step.applies(state):
             continue
@@ -130,6 +127,7 @@ class _Cloud:
     """What passes see: all points, one of each of the method's cells (if it has any), and elected ones; labelled."""
 
     everything: Points
+    cell: Cells | None
     some: Points | None = None
     index: Any = None
     elected: Points | None = None
@@ -142,7 +140,12 @@ class _Cloud:
                     f"pass {step.name} works on elected points, and no pass before it elected any"
                 )
             return self.elected
-        return self.everything if step.every_point or self.some is None else self.some
+        if step.every_point or self.cell is None:
+            return self.everything
+        if self.some is None:  # made when it is first asked for: some runs need none
+            self.index = lowest_per_cell(*self.everything.columns(), self.cell)
+            self.some = self.everything.take(self.index)
+        return self.some
 
     def elect(self, xyz: Int32) -> None:
         """Other points are the elected ones, without labels."""

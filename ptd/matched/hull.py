@@ -31,6 +31,8 @@ TILT_BLOCKS = 2.0
 TILT_RADIUS, LEAST_WEIGHT = 5, 1e-3
 """Blocks at which those surroundings end, and the weight of their cells from which on there is a slope."""
 LOWEST = -(2**31) + 1
+NONE = 2**30
+"""Above the top of any paraboloid, and below what an empty cell stands for: heights are less than 1,000 km."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Hull:
     @property
     def stride(self) -> int:
         """Cells between the centres of paraboloids: what is missed between them is less than 4 cm."""
-        return max(1, min(4, int(math.sqrt(0.08 / self.curvature) / CELL_M)))
+        return max(1, min(4, int(math.sqrt(0.16 / self.curvature) / CELL_M)))
 
     @property
     def reach(self) -> int:
@@ -109,12 +111,12 @@ def _highest_fit(
     """Tops of the lowest paraboloids around a centre that each one cell limits, in rising order, into ``best``."""
     rows, columns = heights.shape
     radius, last = falls.size - 1, best.size - 1
-    best[:] = EMPTY
+    best[:] = NONE
     for ring in range(radius // BLOCK + 2):
         for br in range(max(r // BLOCK - ring, 0), min(r // BLOCK + ring + 1, lowest.shape[0])):
             step = 1 if abs(br - r // BLOCK) == ring else max(2 * ring, 1)
             for bc in range(c // BLOCK - ring, c // BLOCK + ring + 1, step):
-                if bc < 0 or bc >= lowest.shape[1] or lowest[br, bc] == EMPTY:
+                if bc < 0 or bc >= lowest.shape[1]:
                     continue
                 r0, r1 = max(br * BLOCK, r - radius), min(br * BLOCK + BLOCK, r + radius + 1, rows)
                 c0, c1 = max(bc * BLOCK, c - radius), min(bc * BLOCK + BLOCK, c + radius + 1, columns)
@@ -129,10 +131,8 @@ def _highest_fit(
                 for rr in range(r0, r1):
                     fall = falls[abs(rr - r)] - north * (rr - r)
                     for cc in range(c0, c1):
-                        if heights[rr, cc] == EMPTY:
-                            continue
                         value = heights[rr, cc] + fall + falls[abs(cc - c)] - east * (cc - c)
-                        if value < best[last]:
+                        if value < best[last]:  # never in an empty cell
                             k = last
                             while k > 0 and best[k - 1] > value:
                                 best[k] = best[k - 1]
@@ -141,22 +141,23 @@ def _highest_fit(
 
 
 @kernel
+def _raise(hull: Int32, top: int, profile: Int32) -> None:
+    """Heights of a row of the hull, not below those of a paraboloid."""
+    for k in range(profile.size):
+        hull[k] = max(hull[k], np.int32(np.int32(top) + profile[k]))
+
+
+@kernel
 def _union(
-    heights: Int32,
-    lowest: Int32,
-    falls: Int64,
-    stride: int,
-    row0: int,
-    column0: int,
-    cut: int,
-    north: Int64,
+    heights: Int32, lowest: Int32, falls: Int64, stride: int, row0: int, column0: int, cut: int, north: Int64,
     east: Int64,
-) -> Int32:
+) -> Int32:  # fmt: skip
     """Height of the highest paraboloid over each cell, LOWEST where there is none."""
     rows, columns = heights.shape
     radius = falls.size - 1
     hull = np.full((rows, columns), LOWEST, np.int32)
     best = np.empty(cut + 1, np.int64)
+    profile = np.empty(2 * radius + 1, np.int32)
     for r in range(row0, rows, stride):
         for c in range(column0, columns, stride):
             near = False
@@ -167,13 +168,14 @@ def _union(
                 continue
             n, e = north[r // BLOCK, c // BLOCK], east[r // BLOCK, c // BLOCK]
             _highest_fit(heights, lowest, falls, r, c, n, e, best)
-            top = best[cut]
-            if top >= EMPTY:
+            if best[cut] >= NONE:
                 continue
+            for k in range(profile.size):
+                profile[k] = e * (k - radius) - falls[abs(k - radius)]
+            c0, c1 = max(c - radius, 0), min(c + radius + 1, columns)
             for rr in range(max(r - radius, 0), min(r + radius + 1, rows)):
-                along = top - falls[abs(rr - r)] + n * (rr - r)
-                for cc in range(max(c - radius, 0), min(c + radius + 1, columns)):
-                    hull[rr, cc] = max(np.int64(hull[rr, cc]), along - falls[abs(cc - c)] + e * (cc - c))
+                top = best[cut] - falls[abs(rr - r)] + n * (rr - r)
+                _raise(hull[rr, c0:c1], top, profile[c0 - c + radius : c1 - c + radius])
     return hull
 
 

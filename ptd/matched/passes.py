@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import Cells, Scale, Window
+from ptd.kernel import kernel
 from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.matched import objects, surface, voting
 from ptd.matched.cells import CELL_M, EMPTY, Raster, cell_heights, raster_of
@@ -207,16 +208,19 @@ class GroundModel(Model):
         return row, column
 
 
+@kernel
 def _between(values: Float64, row: Float64, column: Float64) -> Float64:
     """Bilinear interpolation; NaN outside of the raster, and beside cells without a value."""
     rows, columns = values.shape
-    i, j = np.floor(row).astype(np.int64), np.floor(column).astype(np.int64)
-    inside = (i >= 0) & (j >= 0) & (i < rows - 1) & (j < columns - 1)
-    i, j = np.where(inside, i, 0), np.where(inside, j, 0)
-    v, u = row - i, column - j
-    lower = values[i, j] * (1.0 - u) + values[i, j + 1] * u
-    upper = values[i + 1, j] * (1.0 - u) + values[i + 1, j + 1] * u
-    return np.where(inside, lower * (1.0 - v) + upper * v, np.nan)
+    found = np.full(row.size, np.nan)
+    for k in range(row.size):
+        i, j = int(np.floor(row[k])), int(np.floor(column[k]))
+        if 0 <= i < rows - 1 and 0 <= j < columns - 1:
+            v, u = row[k] - i, column[k] - j
+            lower = values[i, j] * (1.0 - u) + values[i, j + 1] * u
+            upper = values[i + 1, j] * (1.0 - u) + values[i + 1, j + 1] * u
+            found[k] = lower * (1.0 - v) + upper * v
+    return found
 
 
 PASSES: tuple[Pass, ...] = (CellPass(), ObjectPass(), ObjectPass(name="inner-objects"), SurfacePass())

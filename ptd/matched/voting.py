@@ -34,30 +34,23 @@ def radius_m(density_m2: float) -> float:
 
 
 @kernel
-def averaged(
-    x: Int32, y: Int32, residual: Int64, asked: Bool, keys: Int64, starts: Int64, order: Int32, width: int,
-    radius: float, alike: int,
-) -> Int64:  # fmt: skip
+def _averaged(
+    x: Int32, y: Int32, residual: Int32, keys: Int64, starts: Int64, width: int, square: Int32, alike: Int32
+) -> Int32:
     """Mean residual of the neighbours of each point that are alike, itself among them, rounded down.
 
-    ``keys`` are those of cells as wide as the radius in a raster with a margin of one cell all around; points that are
-    not asked keep their residual and have no vote.
+    Points come by cells as wide as the radius (``keys``, ``starts``) in a raster with a margin of one cell all around.
     """
-    means = residual.copy()
-    square = radius * radius
+    means = np.empty_like(residual)
     for i in range(residual.size):
-        if not asked[i]:
-            continue
-        total, n = np.int64(0), 0
+        total, n = np.int64(0), np.int64(0)
         for dr in range(-1, 2):
             first = keys[i] + dr * width - 1
-            for k in range(starts[first], starts[first + 3]):
-                j = order[k]
-                if asked[j] and abs(residual[j] - residual[i]) < alike:
-                    dx, dy = np.int64(x[j]) - x[i], np.int64(y[j]) - y[i]
-                    if dx * dx + dy * dy < square:
-                        total += residual[j]
-                        n += 1
+            for j in range(starts[first], starts[first + 3]):  # without branches: several at a time
+                dx, dy = x[j] - x[i], y[j] - y[i]
+                near = (abs(residual[j] - residual[i]) < alike[0]) & (dx * dx + dy * dy < square[0])
+                total += np.int64(near) * residual[j]
+                n += near
         means[i] = total // n
     return means
 
@@ -74,20 +67,26 @@ def votes(
     residual : int64 [n]
         Height above the surface in `PARTS` of a vertical count.
     asked : bool [n]
-        Points that have a residual and a vote.
+        Points that have a residual and a vote; all others keep theirs.
     density_m2, sigma_m : float
         Of the run.
     scale : Scale
     """
-    if x.size == 0:
+    voters = np.flatnonzero(asked)
+    if voters.size == 0:
         return residual
-    side = radius_m(density_m2)
+    px, py, side = x[voters], y[voters], radius_m(density_m2)
     cells = Cells.of(side, scale)
-    column, row = cells.column(int(x.min())) - 1, cells.row(int(y.min())) - 1
-    width, height = cells.column(int(x.max())) - column + 2, cells.row(int(y.max())) - row + 2
-    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
+    column, row = cells.column(int(px.min())) - 1, cells.row(int(py.min())) - 1
+    width, height = cells.column(int(px.max())) - column + 2, cells.row(int(py.max())) - row + 2
+    keys = cell_keys(px, py, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
     starts, order = by_cell(keys, width * height)
-    alike = round(PARTS * scale.counts_z(ALIKE_M + ALIKE_SIGMAS * sigma_m))
+    px, py, keys, voters = px[order], py[order], keys[order], voters[order]
+    votes = residual[voters].astype(np.int32)
+    alike = np.array([round(PARTS * scale.counts_z(ALIKE_M + ALIKE_SIGMAS * sigma_m))], np.int32)
+    square = np.array([round(scale.counts(side) ** 2)], np.int32)
     for _ in range(ROUNDS):
-        residual = averaged(x, y, residual, asked, keys, starts, order, width, scale.counts(side), alike)
-    return residual
+        votes = _averaged(px, py, votes, keys, starts, width, square, alike)
+    found = residual.copy()
+    found[voters] = votes
+    return found
