@@ -1,10 +1,11 @@
 """The highest surface below cells that bends down no more than a given curvature, as a stiff cloth from below.
 
 It is the union of all paraboloids of that curvature that fit below the cells: an object narrower than
-``2 * sqrt(2 * height / curvature)`` is passed below, terrain that bends less is followed exactly. A paraboloid may cut
-through a few cells, so that a clump of blunders does not hold it down. Paraboloids are looked at around their centres
-alone; on slopes they are tilted as the terrain is at large, so that their centres lie below what they touch. Heights
-are whole numbers, and nothing beyond a fixed reach has a part in a cell's answer.
+``2 * sqrt(2 * height / curvature)`` is passed below, terrain that bends less is followed. A paraboloid may cut through
+a few cells, so that a clump of blunders does not hold it down. Paraboloids are looked at around their centres alone; on
+slopes they are tilted as the terrain is at large, so that their centres lie below what they touch. One tilt serves a
+block of cells: in hollows the hull lies a little lower for that. Heights are whole numbers, and nothing beyond a fixed
+reach has a part in a cell's answer.
 """
 
 from __future__ import annotations
