@@ -66,9 +66,10 @@ def pdal_ground(stages: tuple[dict[str, Any], ...], xyz: np.ndarray) -> np.ndarr
 
 
 def cloth_name(cloth: Cloth) -> str:
-    """A heading for a table."""
-    default = ", default" if cloth == CLOTH_DEFAULT else ""
-    return f"CSF {cloth.resolution_m:g} m, rigidness {cloth.rigidness}{default} (peer)"
+    """A heading for a table, without commas, which part names on the command line."""
+    if cloth == CLOTH_DEFAULT:
+        return "CSF (peer)"
+    return f"CSF {cloth.resolution_m:g} m rigidness {cloth.rigidness} (peer)"
 
 
 def installed_peers(every_cloth: bool = False) -> dict[str, Filter]:
