@@ -8,8 +8,6 @@ terrain, so nothing farther than a fixed reach has a part in the answer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ptd.cells import Int32, Int64
@@ -28,6 +26,9 @@ FALL_M, FALL_CELLS, FALL_SHARE = 1.5, 2, 0.4
 """At an object's rim this share of the cells, or more, has another surface so far below within so many cells."""
 ALL_FALLS = 0.9
 """At a rim that falls nearly everywhere it does not matter how near the hull is: halls may be too wide for that."""
+CUT_NEAR = 0.5
+"""Unless the border of the data cuts the surface: then the fall may be a quay or a bank, and no more than this share
+may lie near the hull."""
 AREA_M2 = 60.0
 """The smallest object that is judged as a whole; smaller ones are passed below by less stiff hulls."""
 WIDEST_M = 200.0
@@ -37,25 +38,6 @@ TERRAIN_M, TERRAIN_FALLS = 100.0, 0.25
 ridges and crests."""
 INSIDE_SHARE = 0.5
 """A surface of any size is judged if so much of its rim is that of objects found before: equipment on a roof."""
-
-
-@dataclass(frozen=True)
-class Rims:
-    """What is known of each surface; arrays of int64 with one entry a surface.
-
-    Attributes
-    ----------
-    area, near : cells of the surface, and those near the stiff hull
-    rim, falls, inside : cells at its rim, those with another surface far below, and those beside objects found before
-    width : rows or columns that it spans, whichever are more
-    """
-
-    area: Int64
-    near: Int64
-    rim: Int64
-    falls: Int64
-    inside: Int64
-    width: Int64
 
 
 @kernel
@@ -107,9 +89,13 @@ def _surfaces(heights: Int32, step: float, north: Int64, east: Int64) -> tuple[I
 def _rims(
     heights: Int32, surface: Int32, n: int, hull: Int32, removed: Bool, near: int, fall: int
 ) -> tuple[Int64, Int64]:
-    """Counts of each surface (area, near, rim, falls, inside) and its box (first and last row, column)."""
+    """Counts of each surface, and its box (first and last row, column).
+
+    Counted are its cells (area), those near the hull, those at its rim, those of the rim with another surface far below
+    and those beside objects found before (inside), and cells beside empty ones or the border (cut).
+    """
     rows, columns = heights.shape
-    counts, box = np.zeros((n, 5), np.int64), np.zeros((n, 4), np.int64)
+    counts, box = np.zeros((n, 6), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):
         for column in range(columns):
             own = surface[row, column]
@@ -122,11 +108,15 @@ def _rims(
             box[own, 2], box[own, 3] = min(box[own, 2], column), max(box[own, 3], column)
             counts[own, 0] += 1
             counts[own, 1] += height - hull[row, column] < near
-            edge = False
+            edge, cut = False, False
             for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
                 r, c = row + dr, column + dc
                 if 0 <= r < rows and 0 <= c < columns:
                     edge |= removed[r, c] or (surface[r, c] >= 0 and surface[r, c] != own)
+                    cut |= surface[r, c] < 0 and not removed[r, c]
+                else:
+                    cut = True
+            counts[own, 5] += cut
             if not edge:
                 continue
             counts[own, 2] += 1
@@ -168,12 +158,13 @@ def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Sc
     surface, n = _surfaces(heights, step, *tilts(heights))
     near_counts, fall_counts = round(scale.counts_z(NEAR_M)), round(scale.counts_z(FALL_M))
     counts, box = _rims(heights, surface, n, hull, removed, near_counts, fall_counts)
-    area, near, rim, falls, inside = counts.T
+    area, near, rim, falls, inside, cut = counts.T
     width_m = (np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1) * CELL_M
     enclosed = inside > INSIDE_SHARE * rim
     large = (area * CELL_M**2 >= AREA_M2) | enclosed
     fallen = np.where(enclosed, inside + falls, falls) / np.maximum(rim, 1)
     around = falls > np.maximum(ALL_FALLS * (rim - inside), FALL_SHARE * rim)
+    around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
     objects = large & stands & (width_m <= WIDEST_M)
     terrain = (width_m > TERRAIN_M) & (fallen <= TERRAIN_FALLS) | (width_m > WIDEST_M)

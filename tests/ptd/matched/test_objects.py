@@ -56,9 +56,6 @@ def test_a_terrace_that_falls_on_one_side_stays() -> None:
     assert not objects[terrace].any()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the border of the data is no part of a rim, so nearly all of this one falls"
-)
 @pytest.mark.parametrize("edge", [30, 75, 120])
 def test_what_a_step_parts_from_the_rest_of_a_small_survey_is_ground_on_both_sides(edge: int) -> None:
     row, _ = np.mgrid[:150, :150]
