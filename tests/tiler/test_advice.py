@@ -91,7 +91,7 @@ def test_choices(
 
 def test_the_plan_gives_the_advice(make_cloud: MakeCloud) -> None:
     path = make_cloud("b.las", 2000, 1)
-    config = RunConfig.from_mapping({"method": "classic", "halo": "10", "resolution": "0.01"})
+    config = RunConfig.from_mapping({"method": "classic", "halo": "10", "resolution": "0.1"})
     warnings = make_plan([str(path)], config).warnings
     assert sum("--halo 10 m is too small" in text for text in warnings) == 1
     assert sum("is finer than the points" in text for text in warnings) == 1
