@@ -25,12 +25,15 @@ FORCED = b"tiler: interrupted; what it was at did not stop, so it was ended\n"
 class Ending:
     """Whether a command was told to end: a library that was called may have made another error of that."""
 
+    own_process: bool = False
     told: bool = False
 
     def interrupt(self, number: int, frame: object) -> NoReturn:
         """Handle SIGINT or SIGTERM; a second one must not disturb the end, of which it is seen to that it comes."""
         self.told = True
         signal.signal(number, signal.SIG_IGN)
+        if self.own_process:  # what a library was just making is half made, and complains when it goes
+            sys.unraisablehook = lambda _: None
         raise KeyboardInterrupt
 
 
@@ -51,7 +54,7 @@ def ended_in_time(own_process: bool) -> Iterator[Ending]:
     os.set_blocking(writing, False)
     done = threading.Event()
     threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
-    ending, before = Ending(), {number: signal.getsignal(number) for number in SIGNALS}
+    ending, before = Ending(own_process), {number: signal.getsignal(number) for number in SIGNALS}
     signal.signal(signal.SIGTERM, ending.interrupt)
     if before[signal.SIGINT] is signal.default_int_handler:  # not ignored, as in the background of a script
         signal.signal(signal.SIGINT, ending.interrupt)
