@@ -34,6 +34,7 @@ class Ending:
         signal.signal(number, signal.SIG_IGN)
         if self.own_process:  # what a library was just making is half made, and complains when it goes
             sys.unraisablehook = lambda _: None
+            sys.excepthook = lambda *_: None  # of code in C that prints an error, and goes on
         raise KeyboardInterrupt
 
 
