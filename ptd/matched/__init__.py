@@ -7,6 +7,8 @@ cells
     one robust height per cell.
 hull
     the highest surface below the cells that bends down no more than a given curvature.
+separable
+    the same for paraboloids around every cell, row by row.
 objects
     connected surfaces with walls around them are objects, as a whole.
 surface

@@ -18,8 +18,9 @@ from scipy.ndimage import gaussian_filter
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 from ptd.matched.cells import CELL_M, EMPTY
+from ptd.matched.separable import hull_around_every_cell
 from ptd.morphology import Float64
 
 CUT_CELLS = 3
@@ -107,38 +108,54 @@ def _smooth(values: Float64) -> Float64:
 
 @kernel
 def _highest_fit(
-    heights: Int32, lowest: Int32, falls: Int64, r: int, c: int, north: int, east: int, best: Int64
-) -> None:
-    """Tops of the lowest paraboloids around a centre that each one cell limits, in rising order, into ``best``."""
+    heights: Int32, lowest: Int32, falls: Int64, r: int, c: int, north: int, east: int, best: Int64, held: Int64,
+    falls_east: Int64,
+) -> None:  # fmt: skip
+    """Tops of the lowest paraboloids around a centre that each one cell limits, in rising order, into ``best``.
+
+    ``held``: the cells that limit them; before, those of the last centre (-1: none). As none that is looked for is
+    higher than with these, most blocks are passed over. ``falls_east`` is room for a number a block.
+    """
     rows, columns = heights.shape
     radius, last = falls.size - 1, best.size - 1
-    best[:] = NONE
-    for ring in range(radius // BLOCK + 2):
-        for br in range(max(r // BLOCK - ring, 0), min(r // BLOCK + ring + 1, lowest.shape[0])):
-            step = 1 if abs(br - r // BLOCK) == ring else max(2 * ring, 1)
-            for bc in range(c // BLOCK - ring, c // BLOCK + ring + 1, step):
-                if bc < 0 or bc >= lowest.shape[1]:
-                    continue
-                r0, r1 = max(br * BLOCK, r - radius), min(br * BLOCK + BLOCK, r + radius + 1, rows)
-                c0, c1 = max(bc * BLOCK, c - radius), min(bc * BLOCK + BLOCK, c + radius + 1, columns)
-                if r0 >= r1 or c0 >= c1:
-                    continue
-                near_row, near_column = max(r0 - r, r - r1 + 1, 0), max(c0 - c, c - c1 + 1, 0)
-                uphill = max(north * (r0 - r), north * (r1 - 1 - r)) + max(
-                    east * (c0 - c), east * (c1 - 1 - c)
-                )
-                if lowest[br, bc] + falls[near_row] + falls[near_column] - uphill >= best[last]:
-                    continue
-                for rr in range(r0, r1):
-                    fall = falls[abs(rr - r)] - north * (rr - r)
-                    for cc in range(c0, c1):
-                        value = heights[rr, cc] + fall + falls[abs(cc - c)] - east * (cc - c)
-                        if value < best[last]:  # never in an empty cell
-                            k = last
-                            while k > 0 and best[k - 1] > value:
-                                best[k] = best[k - 1]
-                                k -= 1
-                            best[k] = value
+    limit = wide(LOWEST)
+    for k in range(last + 1):
+        dr, dc = held[k] // columns - r, held[k] % columns - c
+        if held[k] < 0 or abs(dr) > radius or abs(dc) > radius:
+            limit = wide(NONE)
+            break
+        top = heights[r + dr, c + dc] + falls[abs(dr)] + falls[abs(dc)] - north * dr - east * dc
+        limit = max(limit, min(wide(top + 1), wide(NONE)))
+    best[:], held[:] = limit, -1
+    west, east_end = max(c - radius, 0) // BLOCK, min(c + radius, columns - 1) // BLOCK + 1
+    for bc in range(west, east_end):
+        falls_east[bc] = _least_fall(falls, bc * BLOCK - c, east)
+    for br in range(max(r - radius, 0) // BLOCK, min(r + radius, rows - 1) // BLOCK + 1):
+        least = _least_fall(falls, br * BLOCK - r, north)
+        r0, r1 = max(br * BLOCK, r - radius), min(br * BLOCK + BLOCK, r + radius + 1, rows)
+        for bc in range(west, east_end):
+            if lowest[br, bc] + least + falls_east[bc] >= limit:
+                continue
+            c0, c1 = max(bc * BLOCK, c - radius), min(bc * BLOCK + BLOCK, c + radius + 1, columns)
+            for rr in range(r0, r1):
+                fall = falls[abs(rr - r)] - north * (rr - r)
+                for cc in range(c0, c1):
+                    value = heights[rr, cc] + fall + falls[abs(cc - c)] - east * (cc - c)
+                    if value < limit:  # never in an empty cell
+                        k = last
+                        while k > 0 and best[k - 1] > value:
+                            best[k], held[k] = best[k - 1], held[k - 1]
+                            k -= 1
+                        best[k], held[k] = value, rr * columns + cc
+                        limit = best[last]
+
+
+@kernel
+def _least_fall(falls: Int64, first: int, tilt: int) -> int:
+    """The least that a paraboloid has fallen in a block that begins so many cells from its centre, along one axis."""
+    end = first + BLOCK - 1
+    near = min(max(first, -end, 0), falls.size - 1)
+    return int(falls[near]) - max(tilt * first, tilt * end)
 
 
 @kernel
@@ -157,7 +174,8 @@ def _union(
     rows, columns = heights.shape
     radius = falls.size - 1
     hull = np.full((rows, columns), LOWEST, np.int32)
-    best = np.empty(cut + 1, np.int64)
+    best, held = np.empty(cut + 1, np.int64), np.full(cut + 1, -1, np.int64)
+    falls_east = np.empty(lowest.shape[1], np.int64)
     profile = np.empty(2 * radius + 1, np.int32)
     for r in range(row0, rows, stride):
         for c in range(column0, columns, stride):
@@ -168,8 +186,8 @@ def _union(
             if not near:
                 continue
             n, e = north[r // BLOCK, c // BLOCK], east[r // BLOCK, c // BLOCK]
-            _highest_fit(heights, lowest, falls, r, c, n, e, best)
-            if best[cut] >= NONE:
+            _highest_fit(heights, lowest, falls, r, c, n, e, best, held, falls_east)
+            if held[cut] < 0:
                 continue
             for k in range(profile.size):
                 profile[k] = e * (k - radius) - falls[abs(k - radius)]
@@ -199,4 +217,6 @@ def hull_below(heights: Int32, rule: Hull, scale: Scale, row: int, column: int) 
     """
     falls, stride, lowest = rule.falls(scale), rule.stride, _block_minima(heights)
     north, east = tilts(heights)
+    if stride == 1:
+        return hull_around_every_cell(heights, EMPTY, LOWEST, falls, CUT_CELLS, BLOCK, north, east)
     return _union(heights, lowest, falls, stride, -row % stride, -column % stride, CUT_CELLS, north, east)
