@@ -77,6 +77,11 @@ class AlsSensor:
         return PATCH_M
 
     @property
+    def coloured(self) -> bool:
+        """Pulses bring no colours."""
+        return False
+
+    @property
     def reach_m(self) -> float:
         """How far beyond a site pulses must be aimed to hit all of it, metres."""
         lean = (self.strip_m + self.overlap_m) / 2 / self.flying_height_m + FORWARD_TILT

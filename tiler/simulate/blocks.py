@@ -162,3 +162,36 @@ def park_block(plot: Plot) -> None:
             plot.house(plot.x, plot.y, float(plot.rng.uniform(0, 180)))
     if plot.rng.random() < 0.3:
         plot.hedge(plot.x, plot.y + 8.0, float(plot.rng.uniform(0, 180)), 18.0)
+
+
+def row_block(plot: Plot) -> None:
+    """Two rows of terraced houses with their gardens, cars in front, street trees; a small green now and then."""
+    length = plot.side - 2 * plot.street
+    if plot.rng.random() < 0.15 or not plot.terrace(plot.x, plot.y - plot.side / 4 - 2.0, 0.0, length, 9.0):
+        plot.trees(4, 9, (5.0, 14.0))
+        plot.bushes(2, 6)
+    else:
+        plot.terrace(plot.x, plot.y + plot.side / 4 + 6.0, 0.0, length, 9.0)
+        plot.trees(2, 6, (4.0, 10.0))
+        plot.bushes(3, 8, (0.4, 1.6))
+    plot.street_cars(0.4)
+
+
+def industry_block(plot: Plot) -> None:
+    """A flat hall of about 90 x 50 m, a yard of trailers, or parking."""
+    kind = plot.rng.random()
+    if kind >= 0.65 or not plot.hall(plot.rng.uniform(80, 95), plot.rng.uniform(42, 55)):
+        plot.trailers() if kind < 0.9 else plot.parking()
+    plot.trees(0, 4)
+    plot.bushes(1, 4)
+
+
+def bluff_block(plot: Plot) -> None:
+    """A closed wood of 16 to 20 m where it is steep; elsewhere a meadow, a house here and there."""
+    if plot.slope() > 0.2:
+        plot.wood(4.0, (16.0, 20.0), 0.1)
+    elif plot.rng.random() < 0.15:
+        plot.house(*plot.pick(8.0), float(plot.rng.uniform(0, 180)))
+        plot.trees(1, 4)
+    else:
+        plot.undergrowth(plot.rng.uniform(0.3, 0.9), plot.rng.uniform(0.1, 0.25))

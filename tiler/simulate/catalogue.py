@@ -89,6 +89,9 @@ class Scene:
         return self.site.terrain.height_at(x, y)
 
 
+ROUGH = {"textureless_share": 0.1, "plants_m": 0.3}
+"""Of scenes like real matched clouds: patches without texture, and plants that nobody could tell from ground."""
+
 _ALL = (
     SceneSpec("als_city", "als", "flats, courtyards, podiums, parking, parks, a dam, a power line",
               "als city", "city", 101, 260.0, {"density": 4.0}),
@@ -134,6 +137,27 @@ _ALL = (
               "dim mountain", "mountain", 241, 180.0, {"density": 15.0}),
     SceneSpec("dim_drone", "dim", "a suburb matched from a drone: 80 points/m2, sigma 0.02, sharper edges",
               "dim drone", "suburb", 242, 100.0, {"density": 80.0, "sigma_m": 0.02, "edge_m": 0.15}),
+    SceneSpec("dim_rows", "dim", "terraced houses cut by the border, gardens, sheds, a canal; 60 points/m2", "dim rows",
+              "rows", 251, 120.0, ROUGH | {"density": 60.0, "tails": 4.0, "shadow": 2.0, "edge_m": 0.4}),
+    SceneSpec("dim_industry", "dim", "halls of 90 x 50 m cut by the border, trailers; a mesh's smooth errors of 0.12 m",
+              "dim industry", "industry", 257, 250.0,
+              ROUGH | {"density": 10.0, "sigma_m": 0.12, "correlated": 1.0, "edge_m": 0.6, "facade": 0.0,
+                       "jitter": 0.2, "shadow": 2.0}),
+    SceneSpec("dim_houses", "dim", "houses below and between trees, 2.5 times the noise in shadow", "dim houses",
+              "suburb", 253, 130.0,
+              ROUGH | {"density": 38.0, "sigma_m": 0.12, "tails": 4.0, "shadow": 2.5, "edge_m": 0.5}),
+    SceneSpec("dim_sparse", "dim", "houses and gardens at 8 points/m2 with 0.2 m of noise", "dim sparse",
+              "suburb", 254, 200.0,
+              ROUGH | {"density": 8.0, "sigma_m": 0.2, "correlated": 0.05, "tails": 3.5, "shadow": 2.0, "facade": 0.0,
+                       "edge_m": 0.6, "blunders": 2e-3}),
+    SceneSpec("dim_bluff", "dim", "a closed wood of 16 to 20 m on a bluff of 60 m, cut by the border", "dim bluff",
+              "bluff", 255, 200.0,
+              ROUGH | {"density": 8.0, "sigma_m": 0.12, "correlated": 0.65, "correlation_m": 3.0, "tails": 4.0,
+                       "shadow": 3.0, "facade": 0.0, "edge_m": 0.7, "blunders": 1e-3}),
+    SceneSpec("dim_forest", "dim", "a closed wood with few glimpses of the ground, no colours", "dim forest", "forest",
+              256, 150.0,
+              ROUGH | {"density": 25.0, "tails": 4.0, "shadow": 3.0, "edge_m": 0.6, "facade": 0.0,
+                       "coloured": False}),
 )  # fmt: skip
 
 SCENES: dict[str, SceneSpec] = {spec.name: spec for spec in _ALL}

@@ -8,12 +8,13 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
+from scipy.special import ndtri
 
 from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
 from tiler.simulate.colour import SHADOW_REACH_M, colours, shadows
-from tiler.simulate.objects import BUILDING
+from tiler.simulate.objects import BUILDING, LOW_VEGETATION
 from tiler.simulate.points import Box, Points
-from tiler.simulate.randomness import BIAS, BLUNDERS, MATCHES, generator, smooth_noise
+from tiler.simulate.randomness import BIAS, BLUNDERS, MATCHES, TEXTURE, generator, smooth_noise
 from tiler.simulate.site import Site
 from tiler.simulate.skin import PIXEL_M, Skin, skin_of
 
@@ -33,6 +34,9 @@ NARROW_M = 1.2
 """Half the width of a window; where something in it stands `NARROW_RISE_M` higher, images see less of the ground."""
 
 NARROW_RISE_M = 7.0
+
+TEXTURE_M = 5.0
+"""Size of the patches of ground and roofs that have no texture to match."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,17 @@ class DimSensor:
         Share of points below the ground: half of them alone, half in clumps of 5 to 30.
     high_blunders : float
         Share of points in the air.
+    shadow : float
+        Times the standard deviation of heights in shadow.
+    textureless, textureless_share : float
+        Times the standard deviation where ground and roofs have no texture, and the share of them that has none.
+    tails : float or None
+        Degrees of freedom of Student's t for the noise that is independent per point, above 2; None: it is normal.
+    jitter : float
+        How far points leave a square lattice, over its spacing: 1 is random, 0 as regular as a mesh.
+    plants_m : float
+        Plants lower than this are ground, metres.
+    coloured : bool
     """
 
     BLUNDERS: ClassVar = ("blunders", "high_blunders")
@@ -69,6 +84,13 @@ class DimSensor:
     facade: float = 0.25
     blunders: float = 5e-4
     high_blunders: float = 3e-5
+    shadow: float = 1.3
+    textureless: float = 2.0
+    textureless_share: float = 0.0
+    tails: float | None = None
+    jitter: float = 1.0
+    plants_m: float = 0.0
+    coloured: bool = True
 
     @property
     def patch_m(self) -> float:
@@ -93,7 +115,9 @@ class DimSensor:
         xyz = np.concatenate((xyz, wall, noise))
         label = np.r_[label, np.full(len(wall), BUILDING, np.uint8), noise_label]
         node = skin.nearest(xyz[:, 0], xyz[:, 1])
-        rgb = colours(site, xyz[:, 0], xyz[:, 1], label, skin.thing[node], facade, dark[node], rng)
+        rgb = None
+        if self.coloured:
+            rgb = colours(site, xyz[:, 0], xyz[:, 1], label, skin.thing[node], facade, dark[node], rng)
         one = np.ones(len(xyz), np.uint8)
         return Points(xyz, label, one, one.copy(), np.zeros(len(xyz)), rgb)
 
@@ -104,20 +128,38 @@ class DimSensor:
         count = round(PATCH_M * self.density**0.5)
         step = PATCH_M / count
         row, column = np.divmod(np.arange(count * count), count)
-        x = box[0] + (column + rng.uniform(0.0, 1.0, len(row))) * step
-        y = box[1] + (row + rng.uniform(0.0, 1.0, len(row))) * step
+        low, high = 0.5 - self.jitter / 2, 0.5 + self.jitter / 2
+        x = box[0] + (column + rng.uniform(low, high, len(row))) * step
+        y = box[1] + (row + rng.uniform(low, high, len(row))) * step
         node = skin.nearest(x, y)
         around = 2 * round(NARROW_M / PIXEL_M) + 1
         narrow = ndimage.maximum_filter(skin.sharp, around)[node] - skin.sharp[node] > NARROW_RISE_M
         lost = 0.02 + 0.2 * dark[node] + 0.4 * narrow + 0.8 * (skin.label[node] == WATER)
         keep = rng.random(len(x)) >= lost
         x, y, node = x[keep], y[keep], (node[0][keep], node[1][keep])
-        label, shaded = skin.labels(x, y), dark[node]
+        label = skin.labels(x, y)
+        above = np.maximum(skin.sharp - skin.bare, skin.rise)[node]
+        label[(label == LOW_VEGETATION) & (above < self.plants_m)] = GROUND
+        return np.column_stack(
+            (x, y, skin.height(x, y) + self._noise(site, x, y, label, dark[node], rng))
+        ), label
+
+    def _noise(
+        self, site: Site, x: Floats, y: Floats, label: UInt8s, shaded: npt.NDArray[np.bool_],
+        rng: np.random.Generator,
+    ) -> Floats:  # fmt: skip
+        """Errors of heights: a part that neighbours have in common and a part that is each point's own, metres."""
         hard = np.isin(label, (GROUND, WATER, BUILDING))
-        sigma = self.sigma_m * np.where(hard, 1.0, 2.0) * np.where(shaded, 1.3, 1.0)
+        sigma = self.sigma_m * np.where(hard, 1.0, 2.0) * np.where(shaded, self.shadow, 1.0)
+        if self.textureless_share:
+            plain = smooth_noise(site.seed, TEXTURE, x, y, TEXTURE_M) > ndtri(1.0 - self.textureless_share)
+            sigma = sigma * np.where(hard & plain, self.textureless, 1.0)
         common = smooth_noise(site.seed, BIAS, x, y, self.correlation_m)
-        noise = self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * rng.standard_normal(len(x))
-        return np.column_stack((x, y, skin.height(x, y) + sigma * noise)), label
+        if self.tails is None:
+            own = rng.standard_normal(len(x))
+        else:
+            own = rng.standard_t(self.tails, len(x)) * np.sqrt((self.tails - 2.0) / self.tails)
+        return np.asarray(sigma * (self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * own))
 
     def _facades(self, skin: Skin, box: Box, rng: np.random.Generator) -> Floats:
         """Points on walls: where the skin falls from a building to its neighbour; on some walls more than on others."""

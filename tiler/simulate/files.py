@@ -156,7 +156,7 @@ def _write_cloud(path: Path, compressed: bool, spec: SceneSpec, listener: Listen
     counts = np.zeros(256, np.int64)
     started = time.monotonic()
     listener("stage_started", {"stage": "simulate", "tasks": len(todo), "points": 0, "done": 0})
-    with CloudWriter(path, colour=spec.kind == "dim", compressed=compressed) as cloud:
+    with CloudWriter(path, colour=sensor.coloured, compressed=compressed) as cloud:
         for index in todo:
             points = survey_patch(site, sensor, *index)
             cloud.write(points)

@@ -91,6 +91,28 @@ class Plot:
             self.box(x - off * sin, y + off * cos, angle, 3.0, 2.5, 2.1, 0.3)
         return True
 
+    def terrace(self, x: float, y: float, angle: float, length: float, depth: float) -> bool:
+        """Adjoining houses of 5 to 6 m each, a row of low sheds behind their gardens, fences between."""
+        if not self.free(x, y, 0.4 * length):
+            return False
+        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        houses = max(2, round(length / 5.5))
+        width = length / houses
+        height, pitch = self.rng.uniform(5.0, 6.5), self.rng.uniform(0.6, 1.0)
+        shed, garden = self.rng.uniform(2.3, 3.2), self.rng.uniform(8.0, 10.0)
+        for house in range(houses):
+            along = (house + 0.5) * width - length / 2
+            step = self.rng.uniform(-0.6, 0.6)
+            hx, hy = x + along * cos, y + along * sin
+            self.box(hx, hy, angle, width, depth, height + step, pitch)
+            off = depth / 2 + garden
+            self.box(hx - off * sin, hy + off * cos, angle, width, 3.0, shed)
+            if self.rng.random() < 0.5:
+                off, edge = (depth + garden) / 2, along + width / 2
+                fx, fy = x + edge * cos - off * sin, y + edge * sin + off * cos
+                self.hedge(fx, fy, angle + 90.0, garden - 2.0)
+        return True
+
     def dugout(self, x: float, y: float) -> None:
         """A garage or cellar dug into a slope: its flat roof hardly rises above the ground behind it."""
         length, width = self.rng.uniform(5, 14), self.rng.uniform(5, 8)
@@ -241,6 +263,17 @@ class Plot:
                 self.car(self.x + along, self.y - edge, 0.0)
             if self.rng.random() < share / 2:
                 self.car(self.x - edge, self.y + along, 90.0)
+
+    def trailers(self) -> None:
+        """Rows of parked trailers and containers all over the block, some places left free."""
+        reach = self.side / 2 - self.street - 8.0
+        for y in np.arange(-reach, reach + 0.1, 26.0):
+            for x in np.arange(-reach, reach + 0.1, 3.6):
+                px, py = self.x + float(x), self.y + float(y)
+                if self.rng.random() < 0.6 and self.free(px, py, 1.2):
+                    low = self.ground(px, py)
+                    top = low + self.rng.uniform(2.6, 4.0)
+                    self._solids.append(Solid(px, py, 90.0, 13.6, 2.5, low - 1.0, top, label=UNCLASSIFIED))
 
     def parking(self) -> None:
         """Rows of cars all over the block."""

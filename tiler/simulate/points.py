@@ -99,6 +99,11 @@ class Sensor(Protocol):
         """How far beyond a site patches must be surveyed, metres."""
         ...
 
+    @property
+    def coloured(self) -> bool:
+        """Whether its points have colours."""
+        ...
+
     def survey(self, site: Site, ix: int, iy: int) -> Points:
         """The points of a patch, which depend on the site, the sensor and (ix, iy) alone."""
         ...

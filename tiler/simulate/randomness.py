@@ -8,7 +8,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 UInt64s = npt.NDArray[np.uint64]
 
-BLOCKS, PULSES, MATCHES, BLUNDERS, BIAS, RELIEF, COLOUR = range(7)
+BLOCKS, PULSES, MATCHES, BLUNDERS, BIAS, RELIEF, COLOUR, TEXTURE = range(8)
 """What numbers are for: each purpose has its own."""
 
 OFFSET = 1 << 31

@@ -9,13 +9,16 @@ import numpy as np
 from tiler.errors import ConfigError
 from tiler.simulate.als import AlsSensor
 from tiler.simulate.blocks import (
+    bluff_block,
     city_block,
     forest_block,
     hall_block,
+    industry_block,
     mixed_block,
     mountain_block,
     park_block,
     river_block,
+    row_block,
     suburb_block,
     terrace_block,
     works_block,
@@ -184,6 +187,31 @@ def park(seed: int, side_m: float) -> Site:
     return Site(terrain, side_m, seed, park_block, 30.0, green=0.95)
 
 
+def rows(seed: int, side_m: float) -> Site:
+    """Terraced houses on flat land, a canal across."""
+    rng = _rng(seed)
+    canal = River(Line(0.0, side_m * 0.62, 0.0), 9.0, 1.5, 2.5)
+    terrain = Terrain(2.0, _tilt(0.002, 0.001, side_m), (Waves.random(rng, 0.5, 80.0), canal))
+    return Site(terrain, side_m, seed, row_block, 44.0, street_m=3.5, green=0.5)
+
+
+def industry(seed: int, side_m: float) -> Site:
+    """Large flat halls, yards of trailers and parking on nearly flat land."""
+    rng = _rng(seed)
+    terrain = Terrain(140.0, _tilt(0.006, -0.004, side_m), (Waves.random(rng, 1.5, 220.0),))
+    return Site(terrain, side_m, seed, industry_block, 105.0, street_m=6.0, green=0.3)
+
+
+def bluff(seed: int, side_m: float) -> Site:
+    """A closed wood on a bluff of about 60 m at 45 degrees, rocky steps in it, a meadow above and houses below."""
+    rng = _rng(seed)
+    face = Cliff(Line(0.0, side_m * 0.3, 9.0), 55.0, 60.0, swing=12.0, period=140.0)
+    steps = Cliff(Line(0.0, side_m * 0.42, 6.0), 6.0, 2.5, swing=9.0, period=70.0)
+    rough = (Waves.random(rng, 5.0, 60.0), Waves.random(rng, 1.0, 11.0))
+    terrain = Terrain(180.0, _tilt(0.01, 0.02, side_m), (face, steps, *rough))
+    return Site(terrain, side_m, seed, bluff_block, 32.0, street_m=2.0, green=0.7)
+
+
 def plane(seed: int, side_m: float) -> Site:
     """A tilted plane, nothing on it."""
     return Site(Terrain(100.0, _tilt(0.05, -0.03, side_m)), side_m, seed)
@@ -215,6 +243,9 @@ SITES: dict[str, Callable[[int, float], Site]] = {
         mixed,
         village,
         park,
+        rows,
+        industry,
+        bluff,
         plane,
         hills,
     )

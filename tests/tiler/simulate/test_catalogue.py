@@ -10,6 +10,7 @@ import pytest
 from tiler.errors import ConfigError
 from tiler.simulate import SCENES, SITES, make_scene, make_site
 from tiler.simulate.catalogue import SENSORS
+from tiler.simulate.points import survey_patch
 
 COUNTS = [233, 26993, 8133, 27734, 1882]
 """Points of classes 1, 2, 3, 5 and 6 of ``als_sparse``."""
@@ -40,6 +41,25 @@ def test_a_scene_has_its_truth_and_has_not_changed():
     # What methods were tuned on; another numpy may move a point by a millimetre, not more.
     assert np.bincount(scene.classification)[[1, 2, 3, 5, 6]] == pytest.approx(COUNTS, rel=1e-3)
     assert scene.xyz.mean(axis=0) == pytest.approx(MEANS, abs=0.02)
+
+
+@pytest.mark.parametrize("name", ["dim_rows", "dim_forest"])
+def test_rough_matched_scenes_are_cut_by_their_border_and_their_ground_lies_on_the_truth(name: str):
+    spec = SCENES[name]
+    site, sensor = spec.make_site(), spec.make_sensor()
+    side = spec.side_m
+    near = site.objects_near(0, 0, side, side)
+    cut = [
+        o for o in (*near.solids, *near.crowns) if any(abs(edge - o.x) < o.radius / 2 for edge in (0, side))
+    ]
+    assert cut
+    points = survey_patch(site, sensor, 1, 1)
+    assert (points.rgb is None) == (name == "dim_forest")
+    ground = points.label == 2
+    x, y, z = points.xyz[ground].T
+    off = z - site.terrain.height_at(x, y)
+    assert abs(np.median(off)) < 0.15
+    assert off.std() < 5 * sensor.sigma_m
 
 
 def test_unknown_names_are_refused():

@@ -44,6 +44,41 @@ def test_bare_ground_has_the_density_and_the_sigma_with_a_part_in_common():
     assert means.std() == pytest.approx(0.066 * np.sqrt(0.36 + alone), rel=0.15)
 
 
+def test_noise_grows_in_shadow_and_without_texture_and_its_tails_are_those_of_students_t():
+    site = Site(Terrain(100.0), 50.0, 5, landmarks=Objects(solids=(HOUSE,)), green=0.0)
+    sensor = replace(SMOOTH, sigma_m=0.1, correlated=0.0, shadow=3.0, facade=0.0)
+    x, y, z = survey(site, sensor).xyz.T
+    shaded, sunny = (np.abs(x - 26) < 6) & (y > 31.8) & (y < 33), y < 14
+    assert z[shaded].std() == pytest.approx(0.3, rel=0.15)
+    assert z[sunny].std() == pytest.approx(0.1, rel=0.03)
+    bare = Site(Terrain(100.0), 50.0, 5)
+    x, y, z = survey(bare, replace(sensor, textureless=2.0, textureless_share=0.25)).xyz.T
+    assert (
+        0.0125 < z.var() < 0.0225
+    )  # a quarter, but for the chance of a hundred patches, has four times the variance
+    z = survey(bare, replace(sensor, tails=6.0)).xyz[:, 2] - 100
+    assert z.std() == pytest.approx(0.1, rel=0.03)
+    assert np.mean(z**4) / z.var() ** 2 > 4.0  # 3 if normal, 6 in the limit
+
+
+def test_a_mesh_is_regular_and_may_have_no_colours():
+    points = match(Objects(), replace(SMOOTH, density=4.0, jitter=0.2, coloured=False))
+    off = points.xyz[:, :2] / 0.5 % 1.0
+    assert off.min() >= 0.4 - 0.002
+    assert off.max() <= 0.6 + 0.002
+    assert points.rgb is None
+
+
+def test_plants_that_are_too_low_are_ground_but_not_what_a_crown_lifts():
+    low = Patch(15, 25, 0.0, 20, 40, height=0.3, cover=0.9, square=True)
+    crown = Crown(35, 25, 106, radius=6, half_height=5)
+    points = match(Objects(patches=(low,), crowns=(crown,)), replace(SMOOTH, edge_m=0.6, plants_m=0.3))
+    x, y, z = points.xyz.T
+    assert np.all(points.label[x < 24] == 2)
+    assert z[points.label == 2].max() < 100.5
+    assert np.all(points.label[np.hypot(x - 35, y - 25) < 5] == 5)
+
+
 def test_nothing_lies_below_a_crown():
     points = match(Objects(crowns=(Crown(25, 25, 106, radius=6, half_height=5),)))
     middle = np.hypot(points.xyz[:, 0] - 25, points.xyz[:, 1] - 25) < 5
