@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 TESTS = Path(__file__).resolve().parent
-COMPILE_FIRST = "ptd/test_warm.py"
+COMPILE_FIRST = "ptd/test_precompile.py"
 COMPILE_NOTHING = tuple(
     f"{folder}/"
     for folder in (

@@ -11,7 +11,7 @@ import numpy as np
 
 from ptd.methods import METHODS
 from ptd.passes import MethodRefusal, Pass, RunFacts, State, later_passes
-from ptd.warm import warm_filters
+from ptd.precompile import warm_filters
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError
 from tiler.job import Job

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ptd.warm import warm_gridding
+from ptd.precompile import warm_gridding
 from tiler.advice import roofs_in_terrain
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell

@@ -16,7 +16,7 @@ surface
 voting
     points against the surface; neighbours vote.
 passes
-    all of it as passes of `ptd.methods.auto`.
+    all of it as passes of `ptd.methods.auto.method`.
 
-The noise of the run that they start from is that of the smoothest places (`ptd.roughness`, ``smoothest_m``).
+The noise of the run that they start from is that of the smoothest places (`ptd.ground.roughness`, ``smoothest_m``).
 """

@@ -18,10 +18,10 @@ from scipy.ndimage import gaussian_filter
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
+from ptd.ground.morphology import Float64
 from ptd.kernel import kernel, wide
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.separable import hull_around_every_cell
-from ptd.morphology import Float64
 
 CUT_CELLS = 3
 """Cells that a paraboloid may cut through: a clump of blunders fills no more."""

@@ -12,10 +12,10 @@ import numpy as np
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
+from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import BLOCK, tilts
-from ptd.morphology import Bool
 
 STEP_M, STEP_SIGMAS = 0.5, 3.0
 """Neighbours on a surface differ by less than the larger of both (by half as much again across corners)."""

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import Cells, Scale, Window
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
+from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
-from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.matched import objects, surface, voting
 from ptd.matched.cells import CELL_M, EMPTY, Raster, cell_heights, raster_of
 from ptd.matched.hull import hull_below
-from ptd.morphology import Bool
 from ptd.passes import Int32, Model, Pass, Points, State, UInt8
 
 LEFT, TERRAIN, OBJECT = 1, 2, 3

@@ -22,9 +22,9 @@ from scipy.ndimage import correlate1d
 
 from ptd.cells import Int32
 from ptd.frame import Scale
+from ptd.ground.morphology import Bool
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import LOWEST, Hull, hull_below
-from ptd.morphology import Bool
 
 Float64 = npt.NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from ptd.cells import Int32, Int64, cell_keys
 from ptd.frame import Cells, Scale
+from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
 from ptd.matched.cells import by_cell
-from ptd.morphology import Bool
 
 PARTS = 16
 """Residuals are whole parts of a vertical count, so that their sums do not depend on an order."""

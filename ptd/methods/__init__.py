@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from ptd.methods import auto, chen2023, classic, dong2017, dong2018, rarefy, ridge2016
+from ptd.methods import classic, rarefy
+from ptd.methods.auto import method as auto
+from ptd.methods.chen2023 import method as chen2023
+from ptd.methods.dong2017 import method as dong2017
+from ptd.methods.dong2018 import method as dong2018
+from ptd.methods.ridge2016 import method as ridge2016
 from ptd.params import parse
 from ptd.passes import Method
 

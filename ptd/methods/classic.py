@@ -41,11 +41,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import cell_keys, lowest_per_cell
-from ptd.densify import densify_seeds
 from ptd.frame import Cells, Scale, Window
-from ptd.labelling import LowNoise, Terrain, unlabelled
+from ptd.ground.densify import densify_seeds
+from ptd.ground.labelling import LowNoise, Terrain, unlabelled
+from ptd.ground.outliers import low_outliers
 from ptd.methods.progressive import Progressive
-from ptd.outliers import low_outliers
 from ptd.params import parameter
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.tin.mesh import Tin

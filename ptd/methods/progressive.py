@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptd.criteria import Limits
 from ptd.frame import Scale
-from ptd.outliers import search_margin
+from ptd.ground.criteria import Limits
+from ptd.ground.outliers import search_margin
 from ptd.params import check, parameter
 
 AXELSSON = "Axelsson 2000"

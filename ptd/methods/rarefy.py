@@ -25,9 +25,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptd.certify import UInt8
 from ptd.frame import Scale, Window
-from ptd.labelling import LowNoise, Terrain
+from ptd.ground.certificates import UInt8
+from ptd.ground.labelling import LowNoise, Terrain
 from ptd.methods.classic import Classic, ClassicModel
 from ptd.params import parameter
 from ptd.passes import Method, Pass, Points, State

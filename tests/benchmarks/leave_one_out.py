@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ptd import classify
-from ptd.methods.auto import Auto
+from ptd.methods.auto.method import Auto
 from tests.benchmarks.scorecard_scenes import Cloud
 from tiler.evaluate import IGNORED, evaluate_labels
 

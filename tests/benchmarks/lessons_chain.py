@@ -24,16 +24,16 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from ptd.cells import Int32, lowest_per_cell
-from ptd.certify import Doubt
-from ptd.criteria import Limits
-from ptd.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.frame import Cells, Scale, Window
+from ptd.ground.certificates import Doubt
+from ptd.ground.criteria import Limits
+from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
+from ptd.ground.labelling import GROUND, UNCLASSIFIED
+from ptd.ground.morphology import Bool, CellRaster, steepest_drops
+from ptd.ground.outliers import low_outliers
+from ptd.ground.seeds import box_with_ring, choose_seeds
+from ptd.ground.slopes import slopes
 from ptd.kernel import kernel, wide
-from ptd.labelling import GROUND, UNCLASSIFIED
-from ptd.morphology import Bool, CellRaster, steepest_drops
-from ptd.outliers import low_outliers
-from ptd.seeds import box_with_ring, choose_seeds
-from ptd.slopes import slopes
 from ptd.tin.interpolation import facet_plane, height_on
 from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ptd.methods.auto import Auto
+from ptd.methods.auto.method import Auto
 from tests.benchmarks import leave_one_out, scorecard
 from tests.benchmarks.published import PER_SAMPLE
 from tests.benchmarks.scorecard_scenes import BenchScene, Cloud, read_clouds

@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from ptd.warm import warm_filters, warm_gridding
+from ptd.precompile import warm_filters, warm_gridding
 from tests.integration.command import TIMEOUT_SECONDS, command, environment, tiler
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests, the_store

@@ -12,7 +12,7 @@ from rio_cogeo.cogeo import cog_validate
 
 import tiler as package
 from ptd.matched.passes import MatchedPass
-from ptd.methods.auto import Auto
+from ptd.methods.auto.method import Auto
 from tests.integration.command import tiler
 from tests.invariants.runs import output_digests
 from tiler.evaluate import evaluate_dtm, evaluate_files

@@ -20,7 +20,7 @@ from pathlib import Path
 do(Path(sys.argv[1]), Path(sys.argv[2]), **json.loads(sys.argv[3]))
 """
 WARM = """
-from ptd.warm import warm_filters, warm_gridding
+from ptd.precompile import warm_filters, warm_gridding
 warm_filters("classic", lambda: None); warm_gridding("linear", lambda: None)
 """
 

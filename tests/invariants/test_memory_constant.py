@@ -28,7 +28,7 @@ print(json.dumps({"command": peak_rss_bytes(), "points": summary["counts"]["stor
                   **{name: stage["peak_rss_bytes"] for name, stage in summary["stages"].items()}}))
 """
 WARM = """
-from ptd.warm import warm_filters, warm_gridding
+from ptd.precompile import warm_filters, warm_gridding
 warm_filters("classic", lambda: None); warm_gridding("linear", lambda: None)
 """
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.idw import inverse_distance
+from ptd.gridding.idw import inverse_distance
 from ptd.tin import Pixels, Raster, Tin, Window, rasterise
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.frame import COUNTS_PER_UNIT

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.nearest import nearest_points
+from ptd.gridding.nearest import nearest_points
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import pixels_of
 from tiler.grid.checksum import checksum

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.erosion import beside_objects
+from ptd.gridding.wall_feet import beside_objects
 from tiler.core.classes import GROUND, MARK_BIT, NOISE, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.highest import NOTHING, HighestReturns
+from ptd.gridding.highest_returns import NOTHING, HighestReturns
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from ptd.frame import Cells, Scale, Window
-from ptd.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
+from ptd.ground.roughness import Roughness
 from ptd.matched.cells import cell_heights, raster_of
 from ptd.matched.passes import OBJECT, PASSES, CellModel, Codes, GroundModel, ObjectPass, _between, noise_m
 from ptd.matched.surface import Surface
-from ptd.methods.auto import Auto
-from ptd.methods.auto_settings import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen, decided
+from ptd.methods.auto.method import Auto
+from ptd.methods.auto.settings import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen, decided
 from ptd.passes import Points
-from ptd.roughness import Roughness
 
 MM = Scale()
 

@@ -11,10 +11,9 @@ import ptd
 from ptd.frame import Scale
 from ptd.matched import objects, passes, surface
 from ptd.matched.hull import Hull
-from ptd.methods.auto import Auto
+from ptd.methods.auto.method import Auto
 from ptd.passes import Points
-
-from ..tiling import classify_tiled
+from tests.ptd.tiling import classify_tiled
 
 SIDE_M, DENSITY_M2, NOISE_M = 90.0, 12.0, 0.06
 

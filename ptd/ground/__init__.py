@@ -1,0 +1,1 @@
+"""What several methods share: seeds, densification, labelling, outliers, noise, and what a window is certain of."""

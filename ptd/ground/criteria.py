@@ -1,0 +1,244 @@
+"""Axelsson's test of whether a point may join the facet that it lies in.
+
+Source: Axelsson (2000), DEM generation from laser scanner data using adaptive TIN models; the edge rules are those
+of Dong (2018), section 2.1.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.frame import Scale
+from ptd.kernel import kernel
+from ptd.tin.interpolation import canonical_facet
+from ptd.tin.layout import Int32Array, is_ghost
+from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.predicates import lexicographic_less
+
+UInt8 = npt.NDArray[np.uint8]
+
+
+class Limits(NamedTuple):
+    """Thresholds of the facet test in horizontal counts and radians; 0 turns an edge rule off.
+
+    Attributes
+    ----------
+    distance : float
+        Iteration distance: from the point to the facet's plane.
+    angle : float
+        Iteration angle: the largest of the angles between the facet's plane and the lines from the point to its
+        corners.
+    steep_cos2 : float
+        Squared cosine of the terrain angle: a facet whose normal is more inclined mirrors its points.
+    reduce_edge : float
+        Below this length of the facet's longest edge the angle shrinks in proportion.
+    stop_edge : float
+        A facet whose longest edge is shorter takes no more vertices.
+    z_ratio : float
+        Horizontal counts in one vertical count.
+    """
+
+    distance: float
+    angle: float
+    steep_cos2: float
+    reduce_edge: float
+    stop_edge: float
+    z_ratio: float
+
+    @classmethod
+    def of(
+        cls,
+        scale: Scale,
+        *,
+        distance_m: float,
+        angle_deg: float,
+        terrain_deg: float,
+        reduce_m: float = 0.0,
+        stop_m: float = 0.0,
+    ) -> Limits:
+        """From metres and degrees."""
+        return cls(
+            scale.counts(distance_m), math.radians(angle_deg), math.cos(math.radians(terrain_deg)) ** 2,
+            scale.counts(reduce_m), scale.counts(stop_m), scale.z_ratio,
+        )  # fmt: skip
+
+
+@kernel
+def facet_measures(
+    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float
+) -> tuple[float, float, float, float]:
+    """How a point lies to a real facet.
+
+    Everything is computed relative to the facet's lexicographically smallest corner and in one order of the
+    corners, so the same facet and point give the same bits in any tile.
+
+    Returns
+    -------
+    distance : float
+        From the point to the facet's plane, horizontal counts, positive above.
+    nearest : float
+        From the point to the nearest corner in space, horizontal counts.
+    cos2 : float
+        Squared cosine of the facet's slope.
+    edge : float
+        Longest edge in plan, horizontal counts.
+    """
+    a, b, c = canonical_facet(vertices, triangles, t)
+    ax, ay, az = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
+    bx, by, bz = (
+        float(vertices[4 * b] - ax),
+        float(vertices[4 * b + 1] - ay),
+        (vertices[4 * b + 2] - az) * z_ratio,
+    )
+    cx, cy, cz = (
+        float(vertices[4 * c] - ax),
+        float(vertices[4 * c + 1] - ay),
+        (vertices[4 * c + 2] - az) * z_ratio,
+    )
+    px, py, pz = float(x - ax), float(y - ay), (z - az) * z_ratio
+    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    n2 = nx * nx + ny * ny + nz * nz
+    distance = (nx * px + ny * py + nz * pz) / math.sqrt(n2)
+    to_a = px * px + py * py + pz * pz
+    to_b = (px - bx) * (px - bx) + (py - by) * (py - by) + (pz - bz) * (pz - bz)
+    to_c = (px - cx) * (px - cx) + (py - cy) * (py - cy) + (pz - cz) * (pz - cz)
+    nearest = math.sqrt(min(to_a, to_b, to_c))
+    edge2 = max(bx * bx + by * by, cx * cx + cy * cy, (cx - bx) * (cx - bx) + (cy - by) * (cy - by))
+    return distance, nearest, nz * nz / n2, math.sqrt(edge2)
+
+
+@kernel
+def within(distance: float, nearest: float, edge: float, limits: Limits) -> bool:
+    """Whether distance and angle are within the limits."""
+    if abs(distance) > limits.distance:
+        return False
+    angle = limits.angle
+    if edge < limits.reduce_edge:
+        angle *= edge / limits.reduce_edge
+    return abs(distance) <= nearest * math.sin(angle)
+
+
+@kernel
+def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) -> tuple[int, int, int]:
+    """The point mirrored in plan through the facet's highest corner, and the triangle that it falls in.
+
+    Of equally high corners the lexicographically smallest. The height stays: mirrored in z as well, a point beyond
+    the edge of a terrace would be tested below the terrace.
+    """
+    corners = canonical_facet(vertices, triangles, t)
+    top = corners[0]
+    for v in corners[1:]:
+        higher = vertices[4 * v + 2] > vertices[4 * top + 2]
+        tie = vertices[4 * v + 2] == vertices[4 * top + 2]
+        left = lexicographic_less(
+            vertices[4 * v], vertices[4 * v + 1], vertices[4 * top], vertices[4 * top + 1]
+        )
+        if higher or (tie and left):
+            top = v
+    mx, my = 2 * vertices[4 * top] - x, 2 * vertices[4 * top + 1] - y
+    return locate(vertices, triangles, mx, my, t), mx, my
+
+
+@kernel
+def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) -> int:
+    """The triangle behind the edge of t that (x, y) lies on; t itself if it lies on none, or on a corner.
+
+    Which of the two owns the position depends on both, so an answer about it does too.
+    """
+    row = 8 * t
+    if is_ghost(triangles, t):
+        return t
+    i, j, k = 4 * triangles[row + 4], 4 * triangles[row + 5], 4 * triangles[row + 6]
+    ax, ay = vertices[i] - x, vertices[i + 1] - y
+    bx, by = vertices[j] - x, vertices[j + 1] - y
+    cx, cy = vertices[k] - x, vertices[k + 1] - y
+    on_a, on_b, on_c = bx * cy - by * cx == 0, cx * ay - cy * ax == 0, ax * by - ay * bx == 0
+    if on_a and not (on_b or on_c):
+        return int(triangles[row] >> 3)
+    if on_b and not (on_a or on_c):
+        return int(triangles[row + 1] >> 3)
+    if on_c and not (on_a or on_b):
+        return int(triangles[row + 2] >> 3)
+    return t
+
+
+@kernel
+def accepts(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    limits: Limits,
+    in_doubt: UInt8,
+) -> tuple[bool, bool, bool]:
+    """Axelsson's test of a point that lies in triangle t (a real one).
+
+    On a vertex, where any of its triangles may be t, only the vertex itself belongs to the terrain.
+
+    Parameters
+    ----------
+    in_doubt : uint8 [triangles]
+        See `ptd.ground.certificates.Doubt.triangles`.
+
+    Returns
+    -------
+    passed : bool
+        The point belongs to the terrain.
+    elsewhere : bool
+        The answer rests on other triangles than t.
+    doubtful : bool
+        The answer rests on a triangle in doubt.
+    """
+    v = coincident_vertex(vertices, triangles, x, y, t)
+    if v >= 0:
+        return z == vertices[4 * v + 2], False, in_doubt[t] != 0
+    beside = across(vertices, triangles, t, x, y)
+    doubtful = in_doubt[t] != 0 or in_doubt[beside] != 0
+    measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
+    passed, mirrored, unsure = judge(vertices, triangles, t, x, y, z, measures, limits, in_doubt)
+    return passed, mirrored or beside != t, doubtful or unsure
+
+
+@kernel
+def judge(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    measures: tuple[float, float, float, float],
+    limits: Limits,
+    in_doubt: UInt8,
+) -> tuple[bool, bool, bool]:
+    """`accepts` for a point off the vertices whose `facet_measures` are known: what goes beyond them.
+
+    Returns
+    -------
+    passed : bool
+    mirrored : bool
+        The point was tested elsewhere.
+    doubtful : bool
+        What is there is in doubt.
+    """
+    distance, nearest, cos2, edge = measures
+    if edge < limits.stop_edge:
+        return False, False, False
+    if cos2 >= limits.steep_cos2:
+        return within(distance, nearest, edge, limits), False, False
+    other, mx, my = mirror_facet(vertices, triangles, t, x, y)
+    doubtful = in_doubt[other] != 0
+    if is_ghost(triangles, other):
+        return False, True, doubtful
+    v = coincident_vertex(vertices, triangles, mx, my, other)
+    if v >= 0:
+        return z == vertices[4 * v + 2], True, doubtful
+    doubtful = doubtful or in_doubt[across(vertices, triangles, other, mx, my)] != 0
+    distance, nearest, cos2, edge = facet_measures(vertices, triangles, other, mx, my, z, limits.z_ratio)
+    return within(distance, nearest, edge, limits), True, doubtful

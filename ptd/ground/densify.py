@@ -1,0 +1,208 @@
+"""Progressive densification in batches: every round tests the candidates against one TIN, then inserts all that pass.
+
+The result of a round depends on the set of candidates alone, not on their order (Chen 2023, 2.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32
+from ptd.frame import Cells, Scale, Window
+from ptd.ground.certificates import Doubt, UInt8
+from ptd.ground.criteria import Limits, accepts
+from ptd.ground.seeds import RING, box_with_ring, choose_seeds
+from ptd.kernel import kernel, wide
+from ptd.tin.insertion import insert
+from ptd.tin.layout import N_TRIANGLES, STAMP, Int32Array, is_ghost
+from ptd.tin.location import locate
+from ptd.tin.mesh import Tin
+
+WAITING, VERTEX, REFUSED = 0, 1, 2
+"""States of a candidate: to be tested, in the TIN, never to be tested (outlier)."""
+
+
+@kernel
+def _test_round(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    state: UInt8,
+    home: Int32,
+    again: npt.NDArray[np.bool_],
+    doubtful: npt.NDArray[np.bool_],
+    in_doubt: UInt8,
+    limits: Limits,
+    stamp: int,
+    chosen: Int32,
+) -> int:
+    """Test the candidates whose triangle changed since their last test; `chosen` receives those that pass.
+
+    A triangle changed by the insertions of the last round carries its stamp, ``stamp - 1``. A candidate whose answer
+    rests on other triangles as well (mirrored, or on an edge) is tested each time (`again`).
+    """
+    n_chosen = 0
+    t = 0
+    for i in range(x.size):
+        if state[i] != 0:
+            continue
+        if home[i] >= 0:
+            t = wide(home[i])
+        if home[i] >= 0 and not again[i] and triangles[8 * t + STAMP] < stamp - 1:
+            doubtful[i] = doubtful[i] or in_doubt[t] != 0
+            continue
+        t = locate(vertices, triangles, x[i], y[i], t)
+        home[i] = t
+        if is_ghost(triangles, t):
+            doubtful[i] = doubtful[i] or in_doubt[t] != 0
+            continue
+        passed, elsewhere, unsure = accepts(vertices, triangles, t, x[i], y[i], z[i], limits, in_doubt)
+        again[i] = elsewhere
+        doubtful[i] = doubtful[i] or unsure
+        if passed:
+            chosen[n_chosen] = i
+            n_chosen += 1
+    return n_chosen
+
+
+@kernel
+def _insert_points(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    counters: Int32Array,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    home: Int32,
+    chosen: Int32,
+    stamp: int,
+) -> None:
+    """Insert the chosen points; `home` holds a triangle near each, or -1."""
+    hint = 0
+    for k in range(chosen.size):
+        i = chosen[k]
+        if home[i] >= 0:
+            hint = wide(home[i])
+        v = insert(vertices, triangles, counters, x[i], y[i], z[i], hint, stamp)
+        hint = wide(max(vertices[4 * v + 3], 0))
+
+
+def densify(
+    tin: Tin,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    state: UInt8,
+    limits: Limits,
+    rounds: int,
+    doubt: Doubt,
+    stop: Callable[[], bool] | None = None,
+) -> tuple[npt.NDArray[np.bool_], int]:
+    """Batch rounds until nothing passes any more, or `rounds` of them.
+
+    While doubt still spreads there are rounds even if nothing passes: beyond the window the rounds may go on.
+
+    Parameters
+    ----------
+    tin : Tin
+        Holds the seeds, each triangle stamped 0, with room for all candidates; densified in place.
+    x, y, z : int32 [n]
+        Candidates, local counts; neighbours in the array near each other.
+    state : uint8 [n]
+        `WAITING`, `VERTEX` or `REFUSED`; updated.
+    limits : Limits
+    rounds : int
+        0: until nothing passes.
+    doubt : Doubt
+        Grows by the candidates whose decision could change with points outside the window.
+    stop : callable, optional
+        Asked after each round.
+
+    Returns
+    -------
+    doubtful : bool [n]
+    rounds : int
+        How many were run.
+    """
+    home = np.full(x.size, -1, np.int32)
+    again = np.zeros(x.size, np.bool_)
+    doubtful = np.zeros(x.size, np.bool_)
+    room = np.empty(x.size, np.int32)
+    stamp = 0
+    while rounds == 0 or stamp < rounds:
+        stamp += 1
+        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, int(tin.counters[N_TRIANGLES]))
+        n = _test_round(
+            tin.vertex_array,
+            tin.triangle_array,
+            x,
+            y,
+            z,
+            state,
+            home,
+            again,
+            doubtful,
+            in_doubt,
+            limits,
+            stamp,
+            room,
+        )
+        spread = doubt.add_points(x, y, doubtful)
+        if n == 0 and not spread:
+            break
+        chosen = room[:n]
+        state[chosen] = VERTEX
+        _insert_points(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, home, chosen, stamp)
+        if stop is not None and stop():
+            break
+    return doubtful, stamp
+
+
+def densify_seeds(
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    outlier: npt.NDArray[np.bool_],
+    seed_cells: Cells,
+    limits: Limits,
+    rounds: int,
+    known: Window,
+    scale: Scale,
+) -> tuple[Tin, UInt8, int]:
+    """The TIN of the lowest points per seed cell and their ring (`ptd.ground.seeds`), densified.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Candidates, local counts; neighbours in the array near each other; at least one is no outlier.
+    outlier : bool [n]
+        Neither seeds nor vertices.
+    seed_cells : Cells
+    limits : Limits
+    rounds : int
+        See `densify`.
+    known : Window
+        Where all candidates, and which are outliers, are known.
+    scale : Scale
+
+    Returns
+    -------
+    tin : Tin
+    in_doubt : uint8 [triangles]
+        See `ptd.ground.certificates.Doubt.triangles`.
+    rounds : int
+        How many were run.
+    """
+    doubt = Doubt(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
+    seeds = choose_seeds(x, y, z, ~outlier, seed_cells, doubt)
+    state = np.where(outlier, np.uint8(REFUSED), np.uint8(WAITING)).astype(np.uint8)
+    state[seeds.chosen] = VERTEX
+    first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
+    tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
+    _, run = densify(tin, x, y, z, state, limits, rounds, doubt)
+    return tin, doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles), run

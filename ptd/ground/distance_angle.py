@@ -1,0 +1,205 @@
+"""Points against one fixed TIN: passed or not by distance and smallest angle, or counted in a histogram of both.
+
+Source: Dong 2017 (004), sections 3.2 and 3.3.4.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32
+from ptd.frame import Scale
+from ptd.ground.certificates import Doubt, UInt8
+from ptd.ground.criteria import across, facet_measures
+from ptd.kernel import kernel
+from ptd.tin.circles import Rule, facet_passes
+from ptd.tin.interpolation import canonical_facet
+from ptd.tin.layout import N_TRIANGLES, Int32Array
+from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.locator import Locator, start_near
+from ptd.tin.mesh import Tin
+
+Bool = npt.NDArray[np.bool_]
+Int64 = npt.NDArray[np.int64]
+
+ANY_EDGE = 2**62
+"""Square of an edge that none reaches."""
+
+
+class Threshold(NamedTuple):
+    """Largest distance of a point to its facet's plane, metres, and smallest of its angles there, radians."""
+
+    distance_m: float
+    angle_rad: float
+
+
+class Bins(NamedTuple):
+    """Bins of a histogram of distances (metres) and angles (radians); what is beyond is not counted."""
+
+    distance_m: float
+    distances: int
+    angle_rad: float
+    angles: int
+
+
+@kernel
+def _gauge(
+    vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float, largest: bool
+) -> tuple[float, float]:
+    """Distance to the plane of a real facet, without sign, and to its nearest or farthest corner: horizontal counts.
+
+    The largest of the angles between the plane and the lines to the corners is that to the nearest corner, the
+    smallest that to the farthest.
+    """
+    distance, nearest, _cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, z_ratio)
+    if largest:
+        return abs(distance), nearest
+    distance = abs(distance)
+    farthest2 = 0.0
+    for v in canonical_facet(vertices, triangles, t):
+        dx, dy = float(x - vertices[4 * v]), float(y - vertices[4 * v + 1])
+        dz = float(z - vertices[4 * v + 2]) * z_ratio
+        farthest2 = max(farthest2, dx * dx + dy * dy + dz * dz)
+    return distance, math.sqrt(farthest2)
+
+
+@kernel
+def _usable(vertices: Int32Array, triangles: Int32Array, n: int, rule: Rule) -> Bool:
+    out = np.zeros(n, np.bool_)
+    for t in range(n):
+        out[t] = facet_passes(vertices, triangles, t, rule)
+    return out
+
+
+@kernel
+def _owner(
+    vertices: Int32Array, triangles: Int32Array, usable: Bool, in_doubt: UInt8, t: int, x: int, y: int
+) -> tuple[int, bool]:
+    """The usable facet at a position off the vertices, -1 if there is none; whether that is sure.
+
+    Of the two at an edge the one that `locate` gives, unless the other alone is usable: which of them owns the edge
+    depends on both, and what lies behind one that is not usable nobody needs to know.
+    """
+    beside = across(vertices, triangles, t, x, y)
+    owner = t if usable[t] else (beside if usable[beside] else -1)
+    return owner, bool(usable[t] and usable[beside] and in_doubt[t] == 0 and in_doubt[beside] == 0)
+
+
+@kernel
+def _test(
+    vertices: Int32Array, triangles: Int32Array, usable: Bool, locator: Locator,
+    x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, near: Bool, distance: float, sine: float,
+    z_ratio: float, largest: bool, passed: Bool, doubtful: Bool,
+) -> None:  # fmt: skip
+    for i in range(x.size):
+        if not which[i]:
+            continue
+        t = locate(vertices, triangles, x[i], y[i], start_near(locator, x[i], y[i]))
+        v = coincident_vertex(vertices, triangles, x[i], y[i], t)
+        if v >= 0:
+            passed[i] = abs(float(z[i]) - float(vertices[4 * v + 2])) * z_ratio <= distance
+            doubtful[i] = near[i] and in_doubt[t] != 0
+            continue
+        owner, sure = _owner(vertices, triangles, usable, in_doubt, t, x[i], y[i])
+        doubtful[i] = near[i] and not sure
+        if owner >= 0:
+            off, corner = _gauge(vertices, triangles, owner, x[i], y[i], z[i], z_ratio, largest)
+            passed[i] = off <= distance and off <= corner * sine
+
+
+@kernel
+def _count(
+    vertices: Int32Array, triangles: Int32Array, usable: Bool, locator: Locator,
+    x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, z_ratio: float, largest: bool, distance: float,
+    angle: float, counts: Int64,
+) -> None:  # fmt: skip
+    for i in range(x.size):
+        if not which[i]:
+            continue
+        t = locate(vertices, triangles, x[i], y[i], start_near(locator, x[i], y[i]))
+        if coincident_vertex(vertices, triangles, x[i], y[i], t) >= 0:
+            continue
+        owner, _sure = _owner(vertices, triangles, usable, in_doubt, t, x[i], y[i])
+        if owner < 0:
+            continue
+        off, corner = _gauge(vertices, triangles, owner, x[i], y[i], z[i], z_ratio, largest)
+        row, column = int(off / distance), int(math.asin(min(off / corner, 1.0)) / angle)
+        if row < counts.shape[0] and column < counts.shape[1]:
+            counts[row, column] += 1
+
+
+class Trial:
+    """A TIN against which points are tested all at once.
+
+    A facet whose circumcircle is wider than `widest` says nothing about the ground within: its points are not
+    tested. So what a window has to hold for a certain answer is bounded. A facet that is not wide is certain if its
+    circle holds no place in doubt. If W's facet at a place is wide, one of U that is not would lie within 2 `widest`
+    of the place, and where no place in doubt is that near, it would be in W as well (`ptd/DESIGN.md`, Certificates);
+    a place on an edge between the two belongs to the facet that is not wide.
+
+    Parameters
+    ----------
+    tin : Tin
+    scale : Scale
+    widest_m : float
+        Largest circumradius.
+    doubt : Doubt, optional
+        As it is now.
+    largest : bool
+        A point's angle is the largest of the three (Axelsson; Dong 2018), not the smallest (Dong 2017).
+    """
+
+    def __init__(
+        self, tin: Tin, scale: Scale, widest_m: float, doubt: Doubt | None = None, largest: bool = False
+    ) -> None:
+        self.tin, self.scale, self.doubt, self.largest = tin, scale, doubt, largest
+        self.radius = scale.counts(widest_m)
+        n = int(tin.counters[N_TRIANGLES])
+        self.usable = _usable(tin.vertex_array, tin.triangle_array, n, Rule(ANY_EDGE, self.radius))
+        self.in_doubt = np.zeros(n, np.uint8)
+        if doubt is not None:
+            self.in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, n)
+        if n:
+            self._locator = Locator.of(tin)
+
+    def test(
+        self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: Doubt
+    ) -> tuple[Bool, Bool]:
+        """Which of the chosen points pass (bool [n]), and where points outside the window could change that (bool [n]).
+
+        Parameters
+        ----------
+        x, y, z : int32 [n]
+            Local counts.
+        which : bool [n]
+        threshold : Threshold
+            Both hold. On a vertex, where any of its facets may be found, the height above the vertex counts alone.
+        doubt : Doubt
+            That of the TIN, or as it grew later.
+        """
+        passed, doubtful = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
+        near = np.zeros(x.size, np.bool_)
+        near[which] = doubt.near(x[which], y[which], 2.0 * self.radius)
+        if not self.usable.size:
+            return passed, near
+        _test(
+            self.tin.vertex_array, self.tin.triangle_array, self.usable, self._locator, x, y, z, which,
+            self.in_doubt, near, self.scale.counts(threshold.distance_m), math.sin(threshold.angle_rad),
+            self.scale.z_ratio, self.largest, passed, doubtful,
+        )  # fmt: skip
+        return passed, doubtful
+
+    def count(self, x: Int32, y: Int32, z: Int32, which: Bool, bins: Bins) -> Int64:
+        """Distances and smallest angles of the chosen points off the vertices: int64 [distances, angles]."""
+        counts = np.zeros((bins.distances, bins.angles), np.int64)
+        if self.usable.size:
+            _count(
+                self.tin.vertex_array, self.tin.triangle_array, self.usable, self._locator, x, y, z, which,
+                self.in_doubt, self.scale.z_ratio, self.largest, self.scale.counts(bins.distance_m), bins.angle_rad,
+                counts,
+            )  # fmt: skip
+        return counts

@@ -1,0 +1,246 @@
+"""The last pass: every point, vertex or not, is labelled against the finished TIN, in pieces of any size."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import CellIndex, Int32
+from ptd.frame import Cells
+from ptd.ground.certificates import UInt8
+from ptd.ground.criteria import Limits, across, facet_measures, judge
+from ptd.kernel import kernel
+from ptd.passes import Points
+from ptd.tin.layout import N_TRIANGLES, Int32Array, is_ghost
+from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.locator import Locator, start_near
+from ptd.tin.mesh import Tin
+
+UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
+"""ASPRS classes that a filter gives."""
+
+
+@kernel
+def is_terrain(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    in_doubt: UInt8,
+    limits: Limits,
+    floor: float,
+) -> tuple[bool, bool, bool]:
+    """The rule of `label_points` for a point that lies in triangle t, which may be a ghost.
+
+    Returns
+    -------
+    terrain : bool
+    elsewhere : bool
+        The answer rests on other triangles than t.
+    doubtful : bool
+        The answer rests on a triangle in doubt.
+    """
+    doubtful = in_doubt[t] != 0
+    if is_ghost(triangles, t):
+        return False, False, doubtful
+    v = coincident_vertex(vertices, triangles, x, y, t)
+    if v >= 0:
+        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, False, doubtful
+    beside = across(vertices, triangles, t, x, y)
+    doubtful = doubtful or in_doubt[beside] != 0
+    measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
+    if abs(measures[0]) <= floor:
+        return True, beside != t, doubtful
+    passed, mirrored, unsure = judge(vertices, triangles, t, x, y, z, measures, limits, in_doubt)
+    return passed, mirrored or beside != t, doubtful or unsure
+
+
+@kernel
+def _is_near(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    x: int,
+    y: int,
+    z: int,
+    in_doubt: UInt8,
+    limits: Limits,
+    floor: float,
+    per_slope: float,
+) -> tuple[bool, bool]:
+    """Whether a point in triangle t, which may be a ghost, lies near it in height, and whether that is doubtful."""
+    doubtful = in_doubt[t] != 0
+    if is_ghost(triangles, t):
+        return False, doubtful
+    v = coincident_vertex(vertices, triangles, x, y, t)
+    if v >= 0:
+        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, doubtful
+    doubtful = doubtful or in_doubt[across(vertices, triangles, t, x, y)] != 0
+    distance, _nearest, cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
+    # The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
+    return abs(distance) <= floor * math.sqrt(cos2) + per_slope * math.sqrt(max(1.0 - cos2, 0.0)), doubtful
+
+
+@kernel
+def _label(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    locator: Locator,
+    in_doubt: UInt8,
+    limits: Limits,
+    floor: float,
+    vertices_only: bool,
+    heights_only: bool,
+    per_slope: float,
+    labels: UInt8,
+    marked: npt.NDArray[np.bool_],
+) -> None:
+    for i in range(x.size):
+        t = locate(vertices, triangles, x[i], y[i], start_near(locator, x[i], y[i]))
+        if vertices_only and (
+            is_ghost(triangles, t) or coincident_vertex(vertices, triangles, x[i], y[i], t) < 0
+        ):
+            labels[i], marked[i] = UNCLASSIFIED, in_doubt[t] != 0
+            continue
+        if heights_only:
+            terrain, marked[i] = _is_near(
+                vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor, per_slope
+            )
+        else:
+            terrain, _elsewhere, marked[i] = is_terrain(
+                vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
+            )
+        labels[i] = GROUND if terrain else UNCLASSIFIED
+
+
+def label_points(
+    tin: Tin,
+    locator: Locator,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    in_doubt: UInt8,
+    limits: Limits,
+    floor: float,
+    vertices_only: bool = False,
+    per_slope: float | None = None,
+) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    """Ground or not, against the finished TIN.
+
+    Ours, not the papers': there, what lies in facets that take no more vertices is lost as type I. The rule is
+    the one of densification; besides, a point within ``floor`` of its facet is ground whatever its angle, since
+    close to a vertex noise alone makes any angle.
+
+    Parameters
+    ----------
+    tin : Tin
+    locator : Locator
+        Of this TIN as it is now.
+    x, y, z : int32 [n]
+        Local counts, in any order (fast where neighbours follow each other).
+    in_doubt : uint8 [triangles]
+        See `ptd.ground.certificates.Doubt.triangles`.
+    limits : Limits
+    floor : float
+        Horizontal counts.
+    vertices_only : bool
+        Without a last pass: only what lies on a vertex, at its height, is ground.
+    per_slope : float, optional
+        Ground is what lies no more than ``floor + per_slope * slope`` (horizontal counts, slope of the facet; on a
+        vertex the floor) above or below the TIN, measured upright, whatever its angle.
+
+    Returns
+    -------
+    labels : uint8 [n]
+        1 unclassified, 2 ground.
+    marked : bool [n]
+        Points outside the window could change the label.
+    """
+    labels = np.full(x.size, UNCLASSIFIED, np.uint8)
+    marked = np.zeros(x.size, np.bool_)
+    if x.size and int(tin.counters[N_TRIANGLES]):
+        _label(
+            tin.vertex_array, tin.triangle_array, x, y, z, locator, in_doubt, limits, floor,
+            vertices_only, per_slope is not None, per_slope or 0.0, labels, marked,
+        )  # fmt: skip
+    return labels, marked
+
+
+class LowNoise:
+    """Where low outliers were found: points of the same cell that are not higher are low noise as well.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        The outliers, local counts.
+    cells : Cells
+        Of which the lowest points were looked at.
+    """
+
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
+        self._index = CellIndex(x, y, cells) if x.size else None
+        if self._index is not None:
+            self._heights = np.maximum.reduceat(z[self._index.table.order], self._index.table.starts[:-1])
+
+    def holds(self, x: Int32, y: Int32, z: Int32) -> npt.NDArray[np.bool_]:
+        """Whether points are low noise: bool [n]."""
+        if self._index is None:
+            return np.zeros(z.size, np.bool_)
+        cell = self._index.find(x, y)
+        found: npt.NDArray[np.bool_] = (cell >= 0) & (z <= self._heights[cell])
+        return found
+
+
+class Terrain:
+    """A finished TIN that tells ground from the rest.
+
+    Parameters
+    ----------
+    tin : Tin
+        As it stays.
+    in_doubt : uint8 [triangles]
+        See `ptd.ground.certificates.Doubt.triangles`.
+    low : LowNoise
+    limits : Limits
+    floor : float
+        See `label_points`.
+    vertices_only : bool
+    per_slope : float, optional
+        See `label_points`.
+    """
+
+    def __init__(
+        self,
+        tin: Tin,
+        in_doubt: UInt8,
+        low: LowNoise,
+        limits: Limits,
+        floor: float,
+        vertices_only: bool = False,
+        per_slope: float | None = None,
+    ) -> None:
+        self.tin, self._in_doubt, self._low, self._limits = tin, in_doubt, low, limits
+        self._floor, self._vertices_only, self._per_slope = floor, vertices_only, per_slope
+        self._locator = Locator.of(tin)
+
+    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+        """ASPRS classes (uint8 [n]) and marks (bool [n]) of points, in any order."""
+        x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
+        labels, marked = label_points(
+            self.tin, self._locator, x, y, z, self._in_doubt, self._limits, self._floor,
+            self._vertices_only, self._per_slope,
+        )  # fmt: skip
+        labels[(labels != GROUND) & self._low.holds(x, y, z)] = LOW_NOISE
+        return labels, marked
+
+
+def unlabelled(points: Points, closed: bool) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    """Labels and marks of a window without a TIN: unclassified, for certain only if nothing lies beyond the window."""
+    return np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), closed)

@@ -1,0 +1,1 @@
+"""`auto`, the default: decides what made the cloud, then filters laser scans and matched clouds in two ways."""

@@ -1,0 +1,338 @@
+"""``auto``: decides from the cloud what made it, and finds the ground of laser scans and of matched clouds in two ways.
+
+A method of our own, the default: one setting for all clouds, what has to differ is decided from the cloud. In matched
+clouds (photogrammetry) heights scatter to both sides and blunders lie below, so a robust height per cell, large objects
+as wholes and a surface of limited curvature find the ground: `ptd.matched`. What follows here is for laser scans, and
+works on the lowest point of each cell of 1 m: morphological seeds, a few rounds of densification, removal of what still
+rises like an object. Figures, why there are passes and how far each sees: ``ptd/DESIGN.md``.
+
+survey
+    density, noise, returns, and what is seen through (`penetration`): laser scanning or image matching
+    (`settings`).
+seeds
+    low outliers out; what drops steeply in openings of growing radius (`objects`) is an object; all else is a seed.
+densify
+    the TIN of the seeds takes in objects' cells that fit (`ptd.ground.densify`): edges and tops that the openings cut.
+refine
+    densified cells that rise from the ground found are taken out again (roofs that were climbed), then all that rises
+    from ground whose trend was taken off (walls, cars, shrubs on slopes), and what still does among what is left.
+roofs
+    ground that is connected, at most 200 m wide, and above nearly all ground that is seen around it is a roof
+    (`plateaus`); three times, as lower roofs lean on higher ones.
+label
+    each point against the TIN of the ground that is left, by its height.
+
+====================  ==========================  ========  ============================================================
+parameter             origin                      default   reason
+====================  ==========================  ========  ============================================================
+max_building_size     Chen 2023; Zhang 2003       36 m      wide enough for halls of towns; wider openings cut hill tops
+thin_cell             as `classic`                1 m       the terrain's detail; noise of dense clouds averages to its
+                                                            lower side
+low_radius, _depth,   as `classic`                5 m, 4 m, groups of more are no noise of a laser
+low_group                                         5
+seed_drop, _rise,     Pingel 2013 (slope, scale)  0.05 m,   noise; ground that rises by 0.06 beside flat ground is kept;
+_slope                                            0.06, 0.2 a fifth of the slope more on slopes
+slope_reach           ours                        9 m       boxes of 19 m see past a house's wall
+iteration_distance,   as `classic`                1.4 m,    the seeds are dense already: L1 keeps the angle small there
+_angle, terrain_                                  28, 88
+angle, edge_length_                               deg, 5 m
+reduce
+rounds                ours                        4         more change little and carry doubt farther
+veto_drop, _rise,     ours                        0.7 m,    wider than for seeds: else all that densification adds
+_slope                                            0.2, 0.2  would be taken back
+residual_slope_reach, ours                        3 m,      without the trend slopes are local; objects are counted
+_around                                           15 m      in 31 m x 31 m
+object_trend, _size   ours                        20, 12 m  a mean over 41 m follows hills and not what stands on them;
+                                                            what is wider has been found before
+object_drop, _rise,   ours                        0.2 m,    less is within the last pass's height
+_slope                                            0.1, 0.2
+object_lack, _share   ours                        2, 0.3    where fewer of the cells around are objects', bumps are
+                                                            terrain: the threshold grows by up to 2
+bump_trend, _size,    ours                        15, 12 m, once more, among the ground that is left: its mean no longer
+_drop, _rise, _slope,                             0.1 m,    holds what was taken out: lower, and more wary of slopes
+_lack, _share                                     0.1, 0.4,
+                                                  1, 0.1
+roof_size, _cell,     ours                        200 m,    the largest halls but for those of industry; cells of 2 m
+_step, _gap                                       2, 1, 8 m bridge the gaps of sparse clouds, 1 m of step allows roofs
+                                                            of 27 degrees; parts of a roof lie among higher ones
+roof_rounds           ours                        3         a hall, what leans on it, and what leans on that
+roof_view, _fall,     ours                        24 m,     past what stands around a roof; what is seen far away lies
+_slope                                            1.5 m,    lower on any hill: 0.2 m more for each metre, else it
+                                                  0.2       says nothing
+roof_share, _unseen   ours                        0.9, 0.6  terrain goes on somewhere; where most looks end in trees or
+                                                            beyond the data nothing is known
+roof_area             ours                        80 m2     what is smaller was opened before
+label_floor           as `classic`                0.24 m    below 1 point/m2: rough ground between sparse points against
+                                                            low plants; from 2 on 0.05 m and three times the noise,
+                                                            from 0.12 m to this
+label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
+                                                            points/m2 on
+====================  ==========================  ========  ============================================================
+
+The ring of virtual seeds has cells of 20 m (`ptd.ground.seeds`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ptd.frame import Cells, Scale, Window
+from ptd.ground import roughness
+from ptd.ground.certificates import Doubt
+from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
+from ptd.ground.morphology import Bool, CellRaster
+from ptd.ground.outliers import low_outliers
+from ptd.ground.seeds import RING, box_with_ring, choose_seeds
+from ptd.matched import passes as matched
+from ptd.methods.auto import penetration
+from ptd.methods.auto.cell_codes import CellCodes, lowest_points
+from ptd.methods.auto.objects import Lowest, blocks
+from ptd.methods.auto.plateaus import on_plateaus
+from ptd.methods.auto.settings import RING_M, AutoParameters, Seen, decided, settings
+from ptd.passes import Int32, Measured, Method, Model, Pass, Points, State, UInt8
+from ptd.tin.mesh import Tin
+
+OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
+"""Codes of cells between passes; `GROUND` is what `refine` leaves."""
+
+
+@dataclass(frozen=True)
+class Auto(AutoParameters):
+    """Parameters of `auto`; see the module's table."""
+
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        """Rasters with a fixed reach and TINs with doubt in turn: doubt does not add up."""
+        cell = self.thin_cell_m
+        return (
+            SurveyPass(self),
+            SeedPass(self, reach_m=(self.seed_reach + 1) * cell),
+            DensifyPass(self),
+            RefinePass(self, reach_m=(self.refine_reach + 1) * cell),
+            *(
+                RoofPass(
+                    self, f"roofs{n}" if n > 1 else "roofs", again=n > 1, reach_m=(self.roof_reach + 1) * cell
+                )
+                for n in range(1, self.roof_rounds + 1)
+            ),
+            LabelPass(self),
+            *matched.PASSES,
+        )
+
+
+@dataclass(frozen=True)
+class SurveyPass(Pass):
+    """Density, noise and returns, and what follows from them."""
+
+    params: Auto
+    name: str = "survey"
+    columns: tuple[str, ...] = ("returns",)
+    every_point: bool = True
+    gives_labels: bool = False
+    reach_m: float | None = max(roughness.REACH_M, penetration.REACH_M)
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+        """Count."""
+        counts = {"told": 0, "several": 0, "looks": 0, "through": 0}
+        if state["run"].get("kind") is None:
+            counts |= penetration.seen_through(points.xyz, core, scale)
+        if points.returns is not None:
+            x, y = points.xyz[:2]
+            own = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
+            of = points.returns[1, own]
+            counts |= {"told": int((of > 0).sum()), "several": int((of > 1).sum())}
+        found = roughness.measure(points.xyz, window, core, scale) | counts
+        return Measured(found, {"points": found["points"]})
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """``survey``: see `settings.decided`."""
+        parts = list(partials)
+        seen = Seen(*(sum(p[name] for p in parts) for name in Seen._fields))
+        survey, notes = decided(self.params, roughness.merge(parts), seen, state["run"])
+        return {**state, "survey": survey, "notes": [*state.get("notes", []), *notes]}
+
+
+@dataclass(frozen=True)
+class LaserPass(Pass):
+    """A pass that only laser scans need."""
+
+    def applies(self, state: State) -> bool:
+        """Not where the survey took the run for image matching."""
+        return "survey" not in state or not matched.is_matched(state)
+
+
+@dataclass(frozen=True)
+class SeedPass(LaserPass):
+    """Cells are low outliers, objects or seeds."""
+
+    params: Auto
+    name: str = "seeds"
+    reach_m: float | None = None
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+        """Open the minimum raster with growing disks."""
+        p = self.params
+        cells = Cells.of(p.thin_cell_m, scale)
+        x, y, z, _ = lowest_points(points, cells)
+        outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
+        codes = np.where(outlier, np.uint8(OUTLIER), np.uint8(SEED))
+        for index, inner in blocks(x, y, cells, p.shape.reach):
+            low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)
+            present = ~outlier[index]
+            rises = low.steep_objects(present, p.seed_drop, p.shape) & present
+            codes[index[rises & inner]] = OBJECT
+        found = {"low_outliers": int((codes == OUTLIER).sum()), "seeds": int((codes == SEED).sum())}
+        stats = {"cells": int(x.size), **found}
+        certain = window.inside(cells, p.seed_reach)
+        return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
+
+
+@dataclass(frozen=True)
+class DensifyPass(LaserPass):
+    """The TIN of the seeds takes in cells of objects that fit."""
+
+    params: Auto
+    name: str = "densify"
+    columns: tuple[str, ...] = ("labels",)
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+        """Densify the window's TIN."""
+        p = self.params
+        cells = Cells.of(p.thin_cell_m, scale)
+        x, y, z, codes = lowest_points(points, cells)
+        known, seed = window.inside(cells), codes == SEED
+        doubtful, rounds = np.full(x.size, window.closed), 0
+        if seed.any():
+            tin, doubt = first_tin(x, y, z, seed, known, scale)
+            rest = np.where(codes == OUTLIER, np.uint8(REFUSED), np.uint8(WAITING))
+            todo = np.where(seed, np.uint8(VERTEX), rest)
+            doubtful, rounds = densify(tin, x, y, z, todo, p.limits(scale), p.rounds, doubt)
+            codes = np.where((todo == VERTEX) & ~seed, np.uint8(DENSIFIED), codes)
+        stats = {"cells": int(x.size), "rounds": rounds, "densified": int((codes == DENSIFIED).sum())}
+        return CellCodes(x, y, codes, doubtful, cells, known, OBJECT, stats)
+
+
+@dataclass(frozen=True)
+class RefinePass(LaserPass):
+    """Ground cells that rise from the ground found are no ground."""
+
+    params: Auto
+    name: str = "refine"
+    columns: tuple[str, ...] = ("labels",)
+    reach_m: float | None = None
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+        """Veto what densification climbed, then look at residuals."""
+        p = self.params
+        cells = Cells.of(p.thin_cell_m, scale)
+        x, y, z, before = lowest_points(points, cells)
+        codes = np.where(before == OUTLIER, np.uint8(OUTLIER), np.uint8(OBJECT))
+        for index, inner in blocks(x, y, cells, p.refine_reach):
+            low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)
+            ground = refined(low, before[index], p)
+            codes[index[ground & inner]] = GROUND
+        stats = {"cells": int(x.size), "ground": int((codes == GROUND).sum())}
+        certain = window.inside(cells, p.refine_reach)
+        return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
+
+
+def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
+    """Which cells stay ground: bool [n]."""
+    ground = (codes == SEED) | (codes == DENSIFIED)
+    if (codes == DENSIFIED).any():
+        ground &= ~((codes == DENSIFIED) & low.steep_objects(ground, p.veto_drop, p.shape))
+    ground &= ~low.residual_objects(ground, codes != OUTLIER, p.objects)
+    stays: Bool = ground & ~low.residual_objects(ground, ground, p.bumps)
+    return stays
+
+
+@dataclass(frozen=True)
+class RoofPass(LaserPass):
+    """Surfaces of ground above all that is seen around them are roofs."""
+
+    params: Auto
+    name: str = "roofs"
+    columns: tuple[str, ...] = ("labels",)
+    reach_m: float | None = None
+    again: bool = False
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
+        """Look around each connected surface."""
+        p = self.params
+        cells, wide, rule = Cells.of(p.thin_cell_m, scale), Cells.of(p.roof_cell_m, scale), p.plateaus(scale)
+        x, y, z, codes = lowest_points(points, cells)
+        ground, before = codes == GROUND, codes == ROOF
+        for index, inner in blocks(x, y, cells, p.roof_reach):
+            if self.again and not before[index].any():
+                continue  # nothing has changed since
+            raster = CellRaster(x[index], y[index], wide)
+            roofs = on_plateaus(z[index], ground[index], before[index], raster, rule)
+            codes[index[roofs & inner]] = ROOF
+        stats = {"cells": int(x.size), "roofs": int(ground.sum() - (codes == GROUND).sum())}
+        certain = window.inside(cells, p.roof_reach)
+        return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
+
+
+@dataclass(frozen=True)
+class LabelPass(LaserPass):
+    """Every point against the TIN of the ground."""
+
+    params: Auto
+    name: str = "label"
+    columns: tuple[str, ...] = ("labels",)
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Labels:
+        """Build the TIN."""
+        p = self.params
+        cells = Cells.of(p.thin_cell_m, scale)
+        x, y, z, codes = lowest_points(points, cells)
+        low, ground = codes == OUTLIER, codes == GROUND
+        noise = LowNoise(x[low], y[low], z[low], cells)
+        if not ground.any():
+            return Labels(None, noise, window.closed, {"vertices": 0})
+        tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale, spare=0)
+        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        s = settings(p, state["survey"])
+        floor, per_slope = scale.counts(s.label_floor_m), scale.counts(s.label_slope_m)
+        terrain = Terrain(tin, in_doubt, noise, p.limits(scale), floor, per_slope=per_slope)
+        return Labels(terrain, noise, window.closed, {"vertices": tin.n_vertices})
+
+
+class Labels(Model):
+    """The finished TIN; without one, nothing but low noise is known."""
+
+    def __init__(self, terrain: Terrain | None, noise: LowNoise, closed: bool, stats: dict[str, Any]) -> None:
+        self.terrain, self._noise, self._closed, self.stats = terrain, noise, closed, stats
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """ASPRS classes and marks of points of the window."""
+        if self.terrain is not None:
+            return self.terrain.label(points)
+        low = self._noise.holds(*(np.ascontiguousarray(c) for c in points.xyz))
+        labels = np.where(low, np.uint8(LOW_NOISE), np.uint8(UNCLASSIFIED))
+        return labels, np.full(len(points), self._closed)
+
+
+def first_tin(
+    x: Int32, y: Int32, z: Int32, chosen: Bool, known: Window, scale: Scale, spare: int | None = None
+) -> tuple[Tin, Doubt]:
+    """TIN of the chosen points (at least one) and the ring of virtual ones, with room for all or ``spare`` more.
+
+    What is chosen within the known window is certain.
+    """
+    cells = Cells.of(RING_M, scale)
+    doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    ring = choose_seeds(x, y, z, chosen, cells, doubt).virtual
+    corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]
+    room = x.size + len(ring) if spare is None else corners[0].size + spare
+    return Tin.build(*corners, max_vertices=room), doubt
+
+
+METHOD = Method(
+    "auto", "our own, for all clouds: morphological seeds, few rounds, what rises is taken out again", Auto
+)

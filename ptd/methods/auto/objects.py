@@ -1,0 +1,187 @@
+"""What rises from the terrain like an object, told from the minimum raster of a lattice of cells.
+
+An object drops steeply: an opening with a disk a little wider than it takes away its height, where terrain loses no
+more than its slope gives. So a cell is an object's if for some radius r (in cells)::
+
+    drop(r) - allowance > (per_metre + per_slope * slope) * r
+
+with drop(r) the fall from the opening with r - 1 to that with r, both of the raster as it is, and the slope that of
+the surface after the last opening. Nothing farther than a fixed reach has a part in any of these answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ptd.cells import Int32, Int64
+from ptd.frame import Cells, Scale
+from ptd.ground.morphology import (
+    Bool,
+    CellRaster,
+    Float64,
+    steepest_drops,
+)
+from ptd.ground.slopes import box_means, slopes
+
+BLOCK_CELLS = 2048
+"""Side of the blocks in which rasters are made, without what lies around them within reach."""
+
+
+@dataclass(frozen=True)
+class Drop:
+    """When a cell is an object's: see the module. Metres and metres per metre."""
+
+    allowance_m: float
+    per_metre: float
+    per_slope: float
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Lengths in cells that the rules share.
+
+    Attributes
+    ----------
+    radius : int
+        Of the largest opening.
+    slope : int
+        Of the boxes of `ptd.ground.slopes.slopes`.
+    """
+
+    radius: int
+    slope: int
+
+    @property
+    def reach(self) -> int:
+        """Cells beyond which nothing has a part in `steep_objects`: an opening's, and that of slopes of openings."""
+        return 2 * self.radius + 2 * self.slope
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Rule of `residual_objects`; lengths in cells.
+
+    Attributes
+    ----------
+    drop : Drop
+    trend, radius, slope, around : int
+        Reach of the mean that is taken off; of the largest opening; of the boxes of slopes; of the share of objects.
+    lack : float
+        By how much the threshold grows where there are no objects around.
+    enough : float
+        Share of objects from which on it does not grow.
+    """
+
+    drop: Drop
+    trend: int
+    radius: int
+    slope: int
+    around: int
+    lack: float
+    enough: float
+
+    @property
+    def reach(self) -> int:
+        """Cells beyond which nothing has a part in the answer."""
+        return max(self.trend + 2 * self.radius, 2 * self.slope, self.around)
+
+
+class Lowest:
+    """The lowest point of each cell of a block as a raster.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts, one point a cell; at least one.
+    cells : Cells
+    cell_m : float
+        Their side in metres.
+    scale : Scale
+    """
+
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells, cell_m: float, scale: Scale) -> None:
+        self.raster, self.z, self.scale = CellRaster(x, y, cells), z, scale
+        self.unit = scale.counts_z(cell_m)
+        """Counts a cell of a slope of 1."""
+
+    def heights(self, which: Bool) -> Int32:
+        """Raster of the heights of some points: int32."""
+        return self.raster.lowest(self.z, which)
+
+    def steep_objects(self, which: Bool, drop: Drop, shape: Shape) -> Bool:
+        """Which points lie in cells where the surface of the chosen points drops like an object: bool [n]."""
+        steepest, opened = steepest_drops(
+            self.heights(which), range(1, shape.radius + 1), self.scale.counts_z(drop.allowance_m)
+        )
+        allowed = drop.per_metre * self.unit + drop.per_slope * slopes(opened, shape.slope)
+        found: Bool = (steepest > allowed).reshape(-1)[self.raster.keys]
+        return found
+
+    def residual_objects(self, ground: Bool, present: Bool, rule: Residuals) -> Bool:
+        """Which points rise from what is left of the heights of all that are present when ground's mean is taken off.
+
+        Without the trend slopes do not hide what is low, so small radii and thresholds suffice. Where there are no
+        objects around, a bump of the terrain is the likelier reason, so the threshold grows (`lack`).
+        """
+        heights, drop = self.heights(ground), rule.drop
+        trend = self._trend(heights, rule.trend)
+        residuals = self.raster.lowest((self.z - trend).astype(np.int32), present)
+        steepest, _ = steepest_drops(
+            residuals, range(1, rule.radius + 1), self.scale.counts_z(drop.allowance_m)
+        )
+        allowed = drop.per_metre * self.unit + drop.per_slope * slopes(heights, rule.slope)
+        allowed += rule.lack * self.unit * self.lack_of_objects(ground, rule)
+        found: Bool = (steepest > allowed).reshape(-1)[self.raster.keys]
+        return found
+
+    def _trend(self, heights: Int32, reach: int) -> Float64:
+        """Mean height of ground around each point, whole counts; its own height where there is none: float64 [n]."""
+        means: Float64 = box_means(heights, reach).reshape(-1)[self.raster.keys]
+        return np.where(np.isnan(means), self.z, np.rint(means))
+
+    def lack_of_objects(self, ground: Bool, rule: Residuals) -> Float64:
+        """1 where all cells around are ground, 0 where a share `enough` of them is not: float64 raster."""
+        return 1.0 - np.minimum(self.share(~ground, rule.around) / rule.enough, 1.0)
+
+    def share(self, which: Bool, around: int) -> Float64:
+        """Share of the chosen points among those of the cells around: float64 raster, 0 where there is none."""
+        chosen = self.raster.lowest(which.astype(np.int32), np.ones(which.size, np.bool_))
+        return np.nan_to_num(box_means(chosen, around))
+
+
+def blocks(x: Int32, y: Int32, cells: Cells, reach: int) -> Iterator[tuple[Int64, Bool]]:
+    """Points in blocks of `BLOCK_CELLS`, each with all points within ``reach`` cells of the block.
+
+    So no raster is larger than a block, however far apart the points are; what depends on nothing beyond the reach is
+    the same in any blocks.
+
+    Parameters
+    ----------
+    x, y : int32 [n]
+        Local counts, by rows of cells (as `ptd.cells.lowest_per_cell` gives them).
+    cells : Cells
+    reach : int
+
+    Yields
+    ------
+    index : int64 [m]
+    inner : bool [m]
+        Which of them belong to the block; each point to one.
+    """
+    if x.size == 0:
+        return
+    columns, rows = cells.places(x, y)
+    columns -= columns.min()
+    rows -= rows[0]
+    if columns.max() < BLOCK_CELLS + 2 * reach and rows[-1] < BLOCK_CELLS + 2 * reach:
+        yield np.arange(x.size), np.ones(x.size, np.bool_)
+        return
+    for south in range(0, int(rows[-1]) + 1, BLOCK_CELLS):
+        first, last = np.searchsorted(rows, (south - reach, south + BLOCK_CELLS + reach))
+        band, own_rows = columns[first:last], rows[first:last] // BLOCK_CELLS == south // BLOCK_CELLS
+        for west in np.unique(band[own_rows] // BLOCK_CELLS) * BLOCK_CELLS:
+            index = np.flatnonzero((band >= west - reach) & (band < west + BLOCK_CELLS + reach))
+            yield index + first, own_rows[index] & (band[index] // BLOCK_CELLS == west // BLOCK_CELLS)

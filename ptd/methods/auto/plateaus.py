@@ -1,0 +1,230 @@
+"""Connected surfaces of ground that lie above all that is seen around them: roofs too wide for openings.
+
+A roof of any shape ends on all sides in a fall, where terrain goes on somewhere: a hill by its foot, a terrace by its
+ends, a ramp. So a roof is a whole connected surface, or nothing of it is: no opening cuts it in two. A surface wider
+than a limit is terrain, whatever lies beyond; so nothing farther than a fixed reach has a part in the answer.
+
+Lower roofs lean on higher ones: beside a hall they see what does not fall. So it is done again without the roofs found
+before, over which looks go on; and what begins beside such a roof is no terrain however small it is, if most of what is
+seen around it lies below.
+
+Where the border of the data cuts a surface, it may go on: a narrower limit holds, and what reaches opposite borders is
+terrain, as an embankment across a corridor is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter
+
+from ptd.cells import Int32, Int64
+from ptd.ground.morphology import EMPTY, Bool, CellRaster
+from ptd.kernel import kernel
+
+_EAST = (1, 0, -1, 0, 1, -1, -1, 1)
+_NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
+"""Steps to the eight neighbours of a cell."""
+
+_AREA, _FALLS, _OTHERS, _PAST, _JOINED, _UNSEEN, _BORDER = range(7)
+"""What is counted of each surface; from the last on, looks along each of the eight ways that leave the data."""
+
+BESIDE = 2
+"""So many cells from a roof that was found before, or fewer, lies what leans on it."""
+LEANING = 0.2
+"""Share of the looks around that begin beside such a roof from which on a surface of any size leans on it."""
+MOST = 0.5
+"""For what leans on a roof `Plateaus.share` is this: higher parts of the same building may be around it."""
+CUT = 0.02
+"""Share of the looks around that leave the data from which on a surface is cut by their border."""
+THROUGH = 3
+"""Looks that leave the data on one side, and as many on the opposite one: terrain that goes through a narrow survey."""
+
+
+@dataclass(frozen=True)
+class Plateaus:
+    """When a surface is a roof; lengths and areas in cells, heights in counts.
+
+    Attributes
+    ----------
+    step : float
+        Cells are of one surface where their heights differ by no more.
+    gap : int
+        Also if so many steps lie between them, along one of the eight directions, over empty cells.
+    view : int
+        As far is looked from each cell, along the eight directions, for what is no part of the surface.
+    fall, slope : float
+        What lies lower by more than the first and the second a cell away lies below: terrain slopes. What lies between
+        the first and both could be either; such a look says nothing.
+    share : float
+        Of what is seen around, so much at least lies below.
+    unseen : float
+        Of the looks around, so many at most meet or say nothing: walls of courtyards, trees, the border of the data;
+        those that begin beside a roof found before are not among them.
+    area, widest, widest_cut : int
+        At least so many cells; at most so many columns and rows; and of what the border of the data cuts.
+    """
+
+    step: float
+    gap: int
+    view: int
+    fall: float
+    slope: float
+    share: float
+    unseen: float
+    area: int
+    widest: int
+    widest_cut: int
+
+    @property
+    def reach(self) -> int:
+        """Cells beyond which nothing has a part in the answer.
+
+        A surface that goes on beyond is wider than `widest` already by what is seen of it: the last cell that is seen
+        is no more than `gap` from the border. One cell more is for the edges (`on_plateaus`).
+        """
+        return self.widest + max(self.gap, self.view) + 1
+
+
+def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
+    """Which points of ground lie on surfaces above their surroundings: bool [n].
+
+    That is all in cells of such surfaces; and in the cells at their edges, whose lowest point lies beside the roof,
+    what is higher than that by more than `Plateaus.fall`.
+
+    Parameters
+    ----------
+    z : int32 [n]
+        Counts.
+    ground, before : bool [n]
+        Which are ground; which were found on roofs before, and are no ground any more.
+    raster : CellRaster
+        Of the points.
+    rule : Plateaus
+    """
+    heights = raster.lowest(z, ground)
+    removed = np.zeros(heights.size, np.bool_)
+    removed[raster.keys[before]] = True
+    data = np.zeros(heights.size, np.bool_)
+    data[raster.keys] = True
+    roof = plateaus(heights, rule, removed.reshape(heights.shape), data.reshape(heights.shape))
+    beside = maximum_filter(roof, size=3, mode="constant", cval=False)
+    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.fall
+    found: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
+    return found
+
+
+def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: Bool | None = None) -> Bool:
+    """Which cells of a raster belong to surfaces that lie above their surroundings: bool, of its shape.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Of ground, counts; `EMPTY` where there is none.
+    rule : Plateaus
+    removed : bool [rows, columns], optional
+        Cells of roofs found before; none if left out.
+    data : bool [rows, columns], optional
+        Cells with any point; those of ground if left out.
+    """
+    removed = np.zeros(heights.shape, np.bool_) if removed is None else removed
+    data = heights != EMPTY if data is None else data
+    surface, n = _surfaces(heights, rule.step, rule.gap)
+    looks, box = _looks(heights, surface, removed, data, n, rule.view, rule.fall, rule.slope)
+    seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
+    unseen = looks[:, _UNSEEN] + border.sum(axis=1)
+    every = seen + unseen + looks[:, _PAST]
+    leans = looks[:, _JOINED] >= np.maximum(LEANING * every, 1)
+    share = np.where(leans, MOST, rule.share)
+    above = (seen > 0) & (looks[:, _FALLS] >= share * seen) & (unseen <= rule.unseen * every)
+    large = looks[:, _AREA] >= rule.area
+    wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
+    cut = border.sum(axis=1) > CUT * every
+    ends = wide <= np.where(cut, rule.widest_cut, rule.widest)
+    opposite = np.minimum(border[:, :2], border[:, 2:4])  # east and west, north and south
+    through = (opposite >= THROUGH).any(axis=1)
+    found: Bool = np.append(above & (large | leans) & ends & ~through, False)[surface]  # -1: no surface
+    return found
+
+
+@kernel
+def _surfaces(heights: Int32, step: float, gap: int) -> tuple[Int32, int]:
+    """The surface of each cell by number, -1 where it is empty, and how many there are."""
+    rows, columns = heights.shape
+    surface = np.full((rows, columns), -1, np.int32)
+    waiting = np.empty(rows * columns, np.int32)
+    n = 0
+    for start in range(rows * columns):
+        if (
+            surface[start // columns, start % columns] >= 0
+            or heights[start // columns, start % columns] == EMPTY
+        ):
+            continue
+        surface[start // columns, start % columns] = n
+        waiting[0], left = start, 1
+        while left:
+            left -= 1
+            row, column = waiting[left] // columns, waiting[left] % columns
+            for way in range(8):
+                for steps in range(1, gap + 1):
+                    r, c = row + steps * _NORTH[way], column + steps * _EAST[way]
+                    if r < 0 or c < 0 or r >= rows or c >= columns:
+                        break
+                    if heights[r, c] == EMPTY:
+                        continue
+                    # In 64 bits: heights of opposite ends of int32 differ by more than it holds.
+                    if (
+                        surface[r, c] < 0
+                        and abs(np.int64(heights[r, c]) - np.int64(heights[row, column])) <= step
+                    ):
+                        surface[r, c] = n
+                        waiting[left] = r * columns + c
+                        left += 1
+                    break
+        n += 1
+    return surface, n
+
+
+@kernel
+def _looks(
+    heights: Int32, surface: Int32, removed: Bool, data: Bool, n: int, view: int, fall: float, slope: float
+) -> tuple[Int64, npt.NDArray[np.int64]]:
+    """Of each surface: counts `_AREA` (cells) to `_JOINED` (looks that begin beside a removed roof), and its box."""
+    rows, columns = heights.shape
+    looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
+    for row in range(rows):
+        for column in range(columns):
+            own = surface[row, column]
+            if own < 0:
+                continue
+            if looks[own, _AREA] == 0:
+                box[own, :2], box[own, 2:] = row, column
+            looks[own, _AREA] += 1
+            box[own, 0], box[own, 1] = min(box[own, 0], row), max(box[own, 1], row)
+            box[own, 2], box[own, 3] = min(box[own, 2], column), max(box[own, 3], column)
+            for way in range(8):
+                met, joined = _BORDER + way, False
+                for steps in range(1, view + 1):
+                    r, c = row + steps * _NORTH[way], column + steps * _EAST[way]
+                    if r < 0 or c < 0 or r >= rows or c >= columns:
+                        break
+                    if surface[r, c] == own:
+                        met = _AREA
+                        break
+                    if met >= _BORDER and data[r, c]:
+                        met = _UNSEEN
+                    joined |= steps <= BESIDE and removed[r, c]
+                    if surface[r, c] >= 0:
+                        lower = np.int64(heights[row, column]) - np.int64(heights[r, c])
+                        if lower > fall + slope * steps:
+                            met = _FALLS
+                        elif lower <= fall:
+                            met = _OTHERS
+                        break
+                if met != _AREA:
+                    # What hides the ground here is known: a roof.
+                    looks[own, _PAST if joined and met >= _UNSEEN else met] += 1
+                    looks[own, _JOINED] += joined
+    return looks, box

@@ -1,0 +1,319 @@
+"""``chen2023``: seeds by a progressive morphological opening, cleaned in their TIN, then densification in batches.
+
+Paper: Chen, Wang, He, Ding and Kong (2023), Frontiers in Earth Science 10:1015153. Its six parameters are the first six
+of the table; it gives values for none of them, nor for the rest. Figures in ``ptd/DESIGN.md``.
+
+===================  ==========================  ========  =============================================================
+parameter            paper's name                default   reason
+===================  ==========================  ========  =============================================================
+max_building_size    max building size           30 m      000's value (003: 20, which leaves a hall of sample 22)
+initial_window       initial window size, W_0    1         the finest steps tell small drops from large ones
+terrain_angle        max terrain angle           88 deg    as `classic`
+rounds               number of iterations        4         the seeds are dense already: more change 0.05 points of
+                                                           error and carry the doubt of a tile's edge farther
+iteration_angle      iterator angle              25 deg    as `classic`
+iteration_distance   iterator distance           1.4 m     as `classic`
+exponential_windows  equation 2 for 1            off       fewer windows, more error: with wide steps the thresholds
+                                                           let low roofs pass or cut hill tops
+thin_cell            c                           1 m       as `classic`
+terrain_slope        s                           0.3       17 degrees; with c 1 m and W_0 1 ground may drop by 0.9 m
+                                                           from one window to the next
+initial_drop         h_0                         0.3 m     noise and low growth, as the floor of the last pass
+largest_drop         h_max                       2.5 m     "the minimum height of buildings in the area": a storey
+mean_layers          "eight neighbourhoods"      5         holes of up to 10 cells are interpolated
+tail_gap, _share     thresholds seen in a plot   20 m,     beyond so wide a gap in height so few candidates are no
+                                                 0.001     terrain
+low_radius, _depth   "surrounding points"        5 m, 4 m  as `classic`
+low_group            correction by hand          5         as `classic`: low groups, which are not isolated
+long_side            "larger side length"        1.5       largest buildings: about the diagonal of one taken out
+narrow_angle         "narrow"                    15 deg    what climbs a storey between points 0.7 m apart is narrower
+cluster_seeds        "small"                     50        a small building
+prominence           "locally prominent"         1 m       what is lower densification would take back
+edge_length_reduce,  none                        5 m, 0,   as `classic`
+_stop; label_pass,                               on,
+label_floor                                      0.3 m
+===================  ==========================  ========  =============================================================
+
+The six steps, and what differs:
+
+1. The tails of the run's elevation histogram, one candidate a cell, are cut at a gap (`elevation_histogram`); the paper
+   looks at a plot. Then points isolated in height. The paper corrects the rest by hand, which a run cannot: groups of
+   low points are searched for instead.
+2. A minimum raster, filled (`minimum_grid`); what interpolation does not reach takes the nearest height, not 0.
+3. Openings with squares (`progressive_opening`): the paper says "window", of an odd number of cells so that it is
+   symmetrical, with the equations of Zhang et al. (2003), whose windows are square. An object drops by more than h_k
+   from one surface to the next; the paper also speaks of the point's own height above a surface. The last window is
+   the first one wider than the largest building.
+4. Seeds are cleaned in their TIN (`seed_clusters`) with the ring of step 5 around them already: else the slivers
+   along the hull are the over-long and narrow facets.
+5. The ring is `classic`'s, on a lattice of half the largest building: each empty cell up to two cells from seeds, in
+   large voids as well, gets a virtual seed at the interpolated height. Never output.
+6. Batches; then our last pass labels all points.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import lowest_per_cell, positions
+from ptd.frame import Cells, Scale, Window
+from ptd.ground.certificates import Doubt
+from ptd.ground.densify import REFUSED, VERTEX, densify
+from ptd.ground.labelling import GROUND, LOW_NOISE, LowNoise, Terrain, unlabelled
+from ptd.ground.outliers import isolated_in_height, low_outliers, search_margin
+from ptd.ground.seeds import RING, box_with_ring, choose_seeds
+from ptd.methods.chen2023.elevation_histogram import ElevationsPass, outside
+from ptd.methods.chen2023.progressive_opening import (
+    Opening,
+    height_thresholds,
+    potential_seeds,
+    window_widths,
+)
+from ptd.methods.chen2023.seed_clusters import ClusterLimits, noisy_seeds
+from ptd.methods.classic import Classic
+from ptd.methods.progressive import Progressive
+from ptd.params import like, parameter
+from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
+from ptd.tin.mesh import Tin
+
+Bool = npt.NDArray[np.bool_]
+
+
+def _cells_of(metres: float, cell_m: float) -> Fraction:
+    return Fraction(repr(float(metres))) / Fraction(repr(float(cell_m)))
+
+
+@dataclass(frozen=True)
+class Chen2023(Progressive):
+    """Parameters of `chen2023`; see the module's table."""
+
+    max_building_size_m: float = parameter(
+        30.0, "the largest building that the windows take out; the ring's cells are half of it", unit="m",
+        minimum=1.0, maximum=1000.0, source="Chen 2023, 3.2 (1)",
+    )  # fmt: skip
+    thin_cell_m: float = parameter(
+        1.0, "c: cells of the minimum raster, whose lowest points alone can become vertices", unit="m", minimum=0.1,
+        maximum=10.0, source="Chen 2023, 2.2 A",
+    )  # fmt: skip
+    initial_window: int = parameter(
+        1,
+        "W_0: windows of 2 k W_0 + 1 cells, k = 1, 2, ...",
+        minimum=1,
+        maximum=1000,
+        source="Chen 2023, 3.2 (2), eq. 1",
+    )
+    rounds: int = like(Classic, "rounds", 4)
+    exponential_windows: bool = parameter(
+        False, "windows of 2 W_0^k + 1 cells instead; W_0 must be 2 or more", source="Chen 2023, eq. 2"
+    )
+    terrain_slope: float = parameter(
+        0.3, "s: rise over run by which ground may drop per metre that the window grows", minimum=0.0, maximum=10.0,
+        source="Chen 2023, eq. 3",
+    )  # fmt: skip
+    initial_drop_m: float = parameter(
+        0.3,
+        "h_0: what ground may drop in any case",
+        unit="m",
+        minimum=0.0,
+        maximum=100.0,
+        source="Chen 2023, eq. 3",
+    )
+    largest_drop_m: float = parameter(
+        2.5, "h_max: the most that ground may drop from one window to the next", unit="m", minimum=0.01,
+        maximum=100.0, source="Chen 2023, eq. 3",
+    )  # fmt: skip
+    mean_layers: int = parameter(
+        5, "empty cells so far from filled ones are interpolated, farther ones take the nearest height", minimum=0,
+        maximum=1000, source="Chen 2023, 2.2 A",
+    )  # fmt: skip
+    tail_gap_m: float = parameter(
+        20.0, "elevation histogram: a tail lies beyond a gap of this height; 0: no tails", unit="m", minimum=0.0,
+        maximum=10000.0, source="Chen 2023, 2.1 a",
+    )  # fmt: skip
+    tail_share: float = parameter(
+        0.001, "elevation histogram: a tail holds no more than this share of the candidates of the run", minimum=0.0,
+        maximum=0.1, source="Chen 2023, 2.1 a",
+    )  # fmt: skip
+    long_side: float = parameter(
+        1.5, "seeds: of facets with a side of more than so many largest buildings the highest corner is noise; 0: off",
+        minimum=0.0, maximum=1000.0, source="Chen 2023, 2.3 (1)",
+    )  # fmt: skip
+    narrow_angle_deg: float = parameter(
+        15.0, "seeds: facets with a smaller angle do not join seeds to clusters", unit="deg", minimum=0.0,
+        maximum=60.0, source="Chen 2023, 2.3 (2)",
+    )  # fmt: skip
+    cluster_seeds: int = parameter(
+        50,
+        "seeds: a cluster of no more is small; 0: none is",
+        minimum=0,
+        maximum=10**6,
+        source="Chen 2023, 2.3 (2)",
+    )
+    prominence_m: float = parameter(
+        1.0, "seeds: so much higher than the seeds around it a small cluster is noise", unit="m", minimum=0.0,
+        maximum=100.0, source="Chen 2023, 2.3 (2)",
+    )  # fmt: skip
+    label_pass: bool = like(Classic, "label_pass")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.exponential_windows and self.initial_window < 2:
+            raise ValueError("initial_window 1: exponential windows never grow from 1; use 2 or more")
+        if self.thin_cell_m > self.max_building_size_m:
+            raise ValueError(
+                f"thin_cell_m {self.thin_cell_m:g}: windows are made of such cells; use at most max_building_size_m, "
+                f"{self.max_building_size_m:g} m"
+            )
+
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        """The histogram of the run, then the rest."""
+        tails = ElevationsPass(self.thin_cell_m, self.tail_gap_m, self.tail_share)
+        return (tails, ChenPass(self))
+
+    @property
+    def widths(self) -> list[int]:
+        """Widths of the windows, in cells."""
+        size = _cells_of(self.max_building_size_m, self.thin_cell_m)
+        return window_widths(self.initial_window, self.exponential_windows, size)
+
+    @property
+    def halo_m(self) -> float:
+        """The widest window, four cells of the ring, 8 m for each round: measured to certify most tiles of a city."""
+        window = max(self.widths) * self.thin_cell_m
+        return window + 4.0 * self.ring_cell_m + 8.0 * min(self.rounds or 30, 30)
+
+    @property
+    def ring_cell_m(self) -> float:
+        """Half the largest building: smaller cells bound circles closer, and tiles need less halo."""
+        return self.max_building_size_m / 2.0
+
+    @property
+    def margin_cells(self) -> int:
+        """Cells that hold the radius of both searches for outliers, groups or not.
+
+        At least one, so that each candidate of a core is known, and counts in one tile alone.
+        """
+        return search_margin(self.low_radius_m, 1, self.thin_cell_m)
+
+    @property
+    def candidate_cell_m(self) -> float:
+        """Cell of which the lowest point is the candidate."""
+        return self.thin_cell_m
+
+    def opening(self, scale: Scale) -> Opening:
+        """Windows and thresholds in counts."""
+        drops = height_thresholds(
+            self.widths, self.terrain_slope, self.thin_cell_m, self.initial_drop_m, self.largest_drop_m
+        )
+        return Opening(self.widths, [scale.counts_z(drop) for drop in drops], self.mean_layers)
+
+    def clusters(self, scale: Scale) -> ClusterLimits:
+        """Limits of the seeds' refinement in counts."""
+        return ClusterLimits(
+            scale.counts(self.long_side * self.max_building_size_m), math.cos(math.radians(self.narrow_angle_deg)),
+            self.cluster_seeds, scale.counts_z(self.prominence_m), scale.z_ratio,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ChenPass(Pass):
+    """Steps 1 b to 6."""
+
+    params: Chen2023
+    name: str = "chen2023"
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> ChenModel:
+        """Find the seeds and densify the window's TIN."""
+        return ChenModel(self.params, points.xyz, window, scale, state.get("tails"))
+
+
+class ChenModel(Model):
+    """A window's finished TIN."""
+
+    def __init__(
+        self, params: Chen2023, candidates: Int32, window: Window, scale: Scale, tails: list[int] | None
+    ) -> None:
+        self.params, self._scale, self._tails = params, scale, tails
+        self._closed = window.closed
+        self.limits = params.limits(scale)
+        self._cells = Cells.of(params.thin_cell_m, scale)
+        x, y, z = (np.ascontiguousarray(c) for c in candidates)
+        keep = lowest_per_cell(x, y, z, self._cells)
+        x, y, z = x[keep], y[keep], z[keep]
+        low, other = self._outliers(x, y, z)
+        self.stats: dict[str, Any] = {
+            "candidates": int(x.size), "low_outliers": int(low.sum()), "other_outliers": int(other.sum()),
+            "windows": params.widths, "potential_seeds": 0, "noisy_seeds": 0, "rounds": 0, "vertices": 0,
+        }  # fmt: skip
+        self.terrain: Terrain | None = None
+        if not (low | other).all():
+            self._low = LowNoise(x[low], y[low], z[low], self._cells)
+            self._densify(x, y, z, low | other, window)
+
+    def _outliers(self, x: Int32, y: Int32, z: Int32) -> tuple[Bool, Bool]:
+        """Step 1: those that are low noise, and others that are no ground."""
+        p, (low, high) = self.params, outside(z, self._scale, self._tails)
+        rest = np.flatnonzero(~(low | high))
+        args = x[rest], y[rest], z[rest], self._scale, p.low_radius_m, p.low_depth_m
+        high[rest] = isolated_in_height(*args)
+        low[rest] = low_outliers(*args, p.low_group)
+        return low, high & ~low
+
+    def _densify(self, x: Int32, y: Int32, z: Int32, outlier: Bool, window: Window) -> None:
+        p, scale = self.params, self._scale
+        ring_cells = Cells.of(p.ring_cell_m, scale)
+        # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
+        known = window.inside(self._cells, p.margin_cells)
+        doubt = Doubt(known, known.inside(ring_cells, RING), box_with_ring(x, y, ring_cells), scale)
+        seeds, unsure = potential_seeds(x, y, z, ~outlier, self._cells, p.opening(scale), known)
+        doubt.add_points(x, y, unsure)
+        ring = choose_seeds(x, y, z, seeds, ring_cells, doubt, unsure).virtual
+        tin = _triangulate(x, y, z, seeds, ring)
+        noise = self._noise(tin, x, y, np.flatnonzero(seeds), ring, doubt)
+        self.stats.update(potential_seeds=int(seeds.sum()), noisy_seeds=int(noise.size))
+        if noise.size:
+            seeds[noise] = False
+            tin = _triangulate(x, y, z, seeds, ring)
+        state = np.where(outlier, REFUSED, np.where(seeds, VERTEX, 0)).astype(np.uint8)
+        _, rounds = densify(tin, x, y, z, state, self.limits, p.rounds, doubt)
+        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        floor = scale.counts(p.label_floor_m) if p.label_pass else 0.0
+        self.terrain = Terrain(tin, in_doubt, self._low, self.limits, floor, vertices_only=not p.label_pass)
+        self.stats.update(rounds=rounds, vertices=tin.n_vertices)
+
+    def _noise(
+        self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: Doubt
+    ) -> npt.NDArray[np.intp]:
+        """Step 4: the points that are noise among the seeds; what is not certain about it is put in doubt."""
+        vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
+        # No two seeds share a position, nor does one with the ring: the ring lies in cells without seeds.
+        real = np.isin(positions(vx, vy), positions(ring[:, 0], ring[:, 1]), invert=True)
+        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), in_doubt)
+        doubt.add_points(vx, vy, unsure)
+        return seeds[np.isin(positions(x[seeds], y[seeds]), positions(vx[noise], vy[noise]))]
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Labels and marks of points of the window."""
+        if self.terrain is None:
+            return unlabelled(points, self._closed)
+        labels, marked = self.terrain.label(points)
+        below, _ = outside(points.xyz[2], self._scale, self._tails)
+        labels[below & (labels != GROUND)] = LOW_NOISE
+        return labels, marked
+
+
+def _triangulate(x: Int32, y: Int32, z: Int32, seeds: Bool, ring: Int32) -> Tin:
+    """The TIN of the seeds and the ring, with room for all candidates."""
+    columns = (np.concatenate([c[seeds], v]) for c, v in zip((x, y, z), ring.T, strict=True))
+    return Tin.build(*columns, max_vertices=int(x.size) + len(ring))
+
+
+METHOD = Method("chen2023", "morphological seeds cleaned in their TIN, then batches (Chen 2023)", Chen2023)

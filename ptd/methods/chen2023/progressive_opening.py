@@ -1,0 +1,251 @@
+"""Progressive morphological opening of a minimum raster: which cells stand out like objects (Chen 2023, 2.2 B).
+
+The paper opens the surface again and again with growing square windows, each time what the last opening left. An
+opening with a square after one with a smaller square equals the opening of the first surface with the larger square (a
+square is a union of smaller ones), so each surface here is an opening of the first one: nothing farther than
+one window's width decides on a cell, however many windows there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32
+from ptd.frame import Cells, Window
+from ptd.ground.morphology import EMPTY, CellRaster
+from ptd.methods.chen2023.minimum_grid import fill_empty
+
+Bool = npt.NDArray[np.bool_]
+BLOCK_CELLS = 512
+"""Rasters are worked on in blocks of so many cells along a side, so that memory does not grow with the extent."""
+
+
+def window_widths(initial: int, exponential: bool, building_cells: Fraction) -> list[int]:
+    """Widths of the windows in cells, all odd.
+
+    Parameters
+    ----------
+    initial : int
+        W_0 of equations 1 and 2; at least 2 if `exponential`.
+    exponential : bool
+        ``W_k = 2 W_0^k + 1`` (equation 2) instead of ``W_k = 2 k W_0 + 1`` (equation 1); k = 1, 2, ...
+    building_cells : Fraction
+        The largest building in cells. The last window is the smallest odd one wider than that: what the series would
+        have beyond is cut to it. There is at least one, of three cells.
+    """
+    last = max(int(building_cells) + 1, 3)
+    last += 1 - last % 2
+    widths, k = [1], 0
+    while widths[-1] < last:
+        k += 1
+        width = 2 * initial**k + 1 if exponential else 2 * k * initial + 1
+        widths.append(min(width, last))
+    return widths[1:]
+
+
+def height_thresholds(
+    widths: list[int], slope: float, cell_m: float, initial_m: float, largest_m: float
+) -> list[float]:
+    """Largest drop of ground with each window, metres (equation 3).
+
+    ``h_k = h_0`` for ``W_k <= 3``, else ``s (W_k - W_{k-1}) c + h_0``, and never more than ``h_max``. Before the first
+    window the width is 1, one cell.
+
+    Parameters
+    ----------
+    widths : list of int
+        W_k in cells.
+    slope : float
+        s, rise over run.
+    cell_m, initial_m, largest_m : float
+        c, h_0 and h_max.
+    """
+    found = []
+    for before, width in zip([1, *widths], widths, strict=False):
+        drop = initial_m if width <= 3 else slope * (width - before) * cell_m + initial_m
+        found.append(min(drop, largest_m))
+    return found
+
+
+def _runs(values: Any, n: int, pick: np.ufunc) -> Any:
+    """Smallest or largest of all squares of n x n cells: n - 1 rows and columns fewer."""
+    for axis in (0, 1):
+        covered = 1
+        while covered < n:
+            step = min(covered, n - covered)
+            size = values.shape[axis] - step
+            first, second = (
+                (slice(0, size), slice(step, None)) if axis == 0 else (np.s_[:, :size], np.s_[:, step:])
+            )
+            values = pick(values[first], values[second])
+            covered += step
+    return values
+
+
+def opened_surfaces(heights: Int32, widths: list[int]) -> Iterator[Int32]:
+    """The opening of a surface by each of the squares, of the raster without its outer ``max(widths) - 1`` cells.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Without empty cells, or with `EMPTY` ones which lie farther than ``max(widths) - 1`` from all cells that matter.
+    widths : list of int
+        Odd, growing.
+    """
+    rim = max(widths) - 1
+    lowest, width = heights, 1
+    for wider in widths:
+        lowest, width = _runs(lowest, wider - width + 1, np.minimum), wider
+        opened = _runs(lowest, width, np.maximum)
+        inner = rim - (width - 1)
+        yield opened[inner : opened.shape[0] - inner, inner : opened.shape[1] - inner]
+
+
+class Opening(NamedTuple):
+    """What to open with.
+
+    Attributes
+    ----------
+    widths : list of int
+        Of the windows, cells.
+    drops : list of float
+        Counts of height: a cell that drops by more from one surface to the next is an object.
+    mean_layers : int
+        See `minimum_grid.fill_empty`.
+    """
+
+    widths: list[int]
+    drops: list[float]
+    mean_layers: int
+
+    @property
+    def reach(self) -> int:
+        """Cells: a filled raster decides on what is so far inside it."""
+        return max(self.widths) - 1
+
+
+def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[Bool, Bool]:
+    """Which cells stand out like objects, and for which of them that is not certain.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        The minimum raster, `EMPTY` where there is no point; twice ``opening.reach`` wider on all sides than the result.
+    opening : Opening
+    known : bool [rows, columns], optional
+        A rectangle of cells whose points are all given; else all are.
+    """
+    reach = opening.reach
+    filled, layers = fill_empty(heights, opening.mean_layers, reach)
+    inner = np.s_[reach:-reach, reach:-reach]
+    surface = filled[inner]
+    before = surface[inner].astype(np.int64)
+    objects = np.zeros(before.shape, np.bool_)
+    for opened, drop in zip(opened_surfaces(surface, opening.widths), opening.drops, strict=True):
+        objects |= before - opened > drop
+        before = opened.astype(np.int64)
+    unsure = np.zeros(objects.shape, np.bool_)
+    if known is not None and not known.all():
+        doubtful = _distance_to_unknown(known) <= np.where(layers < 0, reach, layers)
+        unsure = _runs(doubtful[inner], 2 * reach + 1, np.logical_or)
+    return objects, unsure
+
+
+def _distance_to_unknown(known: Bool) -> npt.NDArray[np.int64]:
+    """Rows or columns from each cell to the nearest unknown one, 0 in such a cell; what is known is a rectangle."""
+    rows, columns = (_to_false(np.asarray(known.any(axis=axis))) for axis in (1, 0))
+    return np.minimum(rows[:, None], columns[None, :])
+
+
+def _to_false(line: Bool) -> npt.NDArray[np.int64]:
+    """Distance to the nearest False of a line with at most one run of True; what is beyond the line is as its end."""
+    index, far = np.arange(line.size), np.int64(2 * line.size)
+    if not line.any():
+        return np.zeros(line.size, np.int64)
+    first, last = int(line.argmax()), line.size - 1 - int(line[::-1].argmax())
+    west = np.where(line, index - first + 1, 0) if first > 0 else np.where(line, far, 0)
+    east = np.where(line, last - index + 1, 0) if last < line.size - 1 else np.where(line, far, 0)
+    return np.minimum(west, east)
+
+
+def potential_seeds(
+    x: Int32, y: Int32, z: Int32, eligible: Bool, cells: Cells, opening: Opening, known: Window
+) -> tuple[Bool, Bool]:
+    """Points whose cell does not stand out from the ground.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts, at most one point a cell.
+    eligible : bool [n]
+        No outlier; the others leave their cells empty.
+    cells : Cells
+        Of the minimum raster.
+    opening : Opening
+    known : Window
+        Where all points, and whether they are eligible, are known.
+
+    Returns
+    -------
+    seeds : bool [n]
+    unsure : bool [n]
+        Points outside the window could change it.
+    """
+    seeds, unsure = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
+    if not x.size:
+        return seeds, unsure
+    raster = CellRaster(x, y, cells)
+    col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
+    rows, columns = np.divmod(raster.keys, raster.shape[1])
+    for (r0, r1, c0, c1), own, near in _blocks(rows, columns, raster.shape, 2 * opening.reach):
+        rim = 2 * opening.reach
+        shape = r1 - r0 + 2 * rim, c1 - c0 + 2 * rim
+        heights = np.full(shape, EMPTY, np.int32)
+        taken = near[eligible[near]]
+        heights[rows[taken] - r0 + rim, columns[taken] - c0 + rim] = z[taken]
+        inside = _known_cells(cells, known, row0 + r0 - rim, col0 + c0 - rim, shape)
+        objects, doubtful = object_cells(heights, opening, inside)
+        place = rows[own] - r0, columns[own] - c0
+        seeds[own], unsure[own] = eligible[own] & ~objects[place], doubtful[place]
+    return seeds, unsure
+
+
+def _known_cells(cells: Cells, known: Window, row: int, column: int, shape: tuple[int, int]) -> Bool | None:
+    """Which cells of a raster that starts at a row and column lie in a window of whole cells; None: all."""
+    if not known.closed:
+        return None
+    souths = np.array([cells.south(row + i) for i in range(shape[0] + 1)])
+    wests = np.array([cells.west(column + i) for i in range(shape[1] + 1)])
+    in_rows = (souths[:-1] >= known.south) & (souths[1:] <= known.north)
+    in_columns = (wests[:-1] >= known.west) & (wests[1:] <= known.east)
+    return np.outer(in_rows, in_columns)
+
+
+Block = tuple[int, int, int, int]
+
+
+def _blocks(
+    rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64], shape: tuple[int, int], rim: int
+) -> Iterator[tuple[Block, npt.NDArray[np.int64], npt.NDArray[np.int64]]]:
+    """Blocks of cells that hold points: first and end row and column, their points, and those up to `rim` away."""
+    side = max(BLOCK_CELLS, rim)
+    wide = -(-shape[1] // side) + 2  # an empty block at both ends, so that no neighbour is another row's
+    block = (rows // side + 1) * wide + columns // side + 1
+    order = np.argsort(block, kind="stable")
+    numbers, starts = np.unique(block[order], return_index=True)
+    ends = np.append(starts[1:], order.size)
+    members = {int(b): order[s:e] for b, s, e in zip(numbers, starts, ends, strict=True)}
+    for number, own in members.items():
+        r0, c0 = (number // wide - 1) * side, (number % wide - 1) * side
+        r1, c1 = min(r0 + side, shape[0]), min(c0 + side, shape[1])
+        around = [members[number + dr * wide + dc] for dr in (-1, 0, 1) for dc in (-1, 0, 1)
+                  if number + dr * wide + dc in members]  # fmt: skip
+        near = np.concatenate(around)
+        r, c = rows[near], columns[near]
+        keep = (r >= r0 - rim) & (r < r1 + rim) & (c >= c0 - rim) & (c < c1 + rim)
+        yield (r0, r1, c0, c1), own, near[keep]

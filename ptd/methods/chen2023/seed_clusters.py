@@ -1,0 +1,198 @@
+"""Seeds that are noise, as their TIN shows: tips of over-long facets, clusters that stand out (Chen 2023, 2.3)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.kernel import kernel
+from ptd.tin.layout import VERTEX, Int32Array
+from ptd.tin.listing import real_facets
+from ptd.tin.mesh import Tin
+
+Bool = npt.NDArray[np.bool_]
+UInt8 = npt.NDArray[np.uint8]
+Int64 = npt.NDArray[np.int64]
+
+
+class ClusterLimits(NamedTuple):
+    """What the paper calls large, narrow, small and locally prominent.
+
+    Attributes
+    ----------
+    long_side : float
+        Horizontal counts, in space: of a facet with a longer side the highest corner is noise. 0: of none.
+    narrow_cos : float
+        Cosine of the angle below which a facet's smallest one, in space, makes it narrow.
+    small : int
+        A cluster of no more seeds is small.
+    prominence : float
+        Counts of height: so much higher on average than the seeds around it a cluster is prominent.
+    z_ratio : float
+        Horizontal counts in one vertical count.
+    """
+
+    long_side: float
+    narrow_cos: float
+    small: int
+    prominence: float
+    z_ratio: float
+
+
+@kernel
+def _sides(vertices: Int32Array, facet: Int32Array, z_ratio: float) -> tuple[float, float, float]:
+    """Squared sides of a facet in space, growing; the same bits in whatever order the corners come."""
+    short, middle, longest = np.inf, np.inf, -np.inf
+    for k in range(3):
+        a, b = facet[k], facet[(k + 1) % 3]
+        dx, dy = float(vertices[a, 0] - vertices[b, 0]), float(vertices[a, 1] - vertices[b, 1])
+        dz = float(vertices[a, 2] - vertices[b, 2]) * z_ratio
+        side = dx * dx + dy * dy + dz * dz
+        middle = max(min(side, middle), short)
+        short, longest = min(side, short), max(side, longest)
+    return short, middle, longest
+
+
+@kernel
+def _highest(vertices: Int32Array, facet: Int32Array) -> int:
+    """The highest corner; of equally high ones the lexicographically smallest in (x, y)."""
+    top = facet[0]
+    for k in range(1, 3):
+        v = facet[k]
+        if vertices[v, 2] > vertices[top, 2] or (
+            vertices[v, 2] == vertices[top, 2]
+            and (
+                vertices[v, 0] < vertices[top, 0]
+                or (vertices[v, 0] == vertices[top, 0] and vertices[v, 1] < vertices[top, 1])
+            )
+        ):
+            top = v
+    return int(top)
+
+
+@kernel
+def _judge_facets(
+    vertices: Int32Array, facets: Int32Array, real: Bool, long_side: float, narrow_cos: float, z_ratio: float
+) -> tuple[Int32Array, Bool]:
+    """The corner of each facet that is noise (-1: none), and whether the facet joins its corners to one cluster."""
+    tips = np.full(facets.shape[0], -1, np.int32)
+    joins = np.zeros(facets.shape[0], np.bool_)
+    for i in range(facets.shape[0]):
+        short, middle, longest = _sides(vertices, facets[i], z_ratio)
+        if long_side > 0.0 and longest > long_side * long_side:
+            top = _highest(vertices, facets[i])
+            if real[top]:
+                tips[i] = top
+        if real[facets[i, 0]] and real[facets[i, 1]] and real[facets[i, 2]]:
+            # The smallest angle lies between the two longer sides.
+            joins[i] = middle + longest - short <= 2.0 * math.sqrt(middle * longest) * narrow_cos
+    return tips, joins
+
+
+@kernel
+def _root(parents: Int32Array, v: int) -> int:
+    while parents[v] != v:
+        parents[v] = parents[parents[v]]
+        v = parents[v]
+    return v
+
+
+@kernel
+def _flood(facets: Int32Array, joins: Bool, n: int) -> Int32Array:
+    """The cluster of each vertex: those that the facets chosen by the mask join, by one of their numbers."""
+    parents = np.arange(n).astype(np.int32)
+    for i in range(facets.shape[0]):
+        if joins[i]:
+            a = _root(parents, facets[i, 0])
+            for k in range(1, 3):
+                b = _root(parents, facets[i, k])
+                parents[max(a, b)] = min(a, b)
+                a = min(a, b)
+    for v in range(n):
+        parents[v] = _root(parents, v)
+    return parents
+
+
+@kernel
+def _sums(
+    vertices: Int32Array, facets: Int32Array, clusters: Int32Array, counted: Bool
+) -> tuple[Int64, Int64, Int64, Int64]:
+    """By cluster: seeds and sum of their heights; neighbours across its border (per facet) and sum of theirs."""
+    n = clusters.size
+    size, total = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    around, total_around = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    for v in range(n):
+        if counted[v]:
+            size[clusters[v]] += 1
+            total[clusters[v]] += vertices[v, 2]
+    for i in range(facets.shape[0]):
+        for k in range(3):
+            for step in range(1, 3):
+                a, b = facets[i, k], facets[i, (k + step) % 3]
+                if counted[a] and counted[b] and clusters[a] != clusters[b]:
+                    around[clusters[a]] += 1
+                    total_around[clusters[a]] += vertices[b, 2]
+    return size, total, around, total_around
+
+
+def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) -> tuple[Bool, Bool]:
+    """Which vertices are no ground, and for which that is not certain.
+
+    1. Of each facet with an over-long side in space the highest corner is noise. All facets are judged in one TIN.
+    2. The facets that are not narrow and hold no such noise are flooded: what they join is one cluster. A cluster of
+       few seeds that lies higher than its neighbours, on average, is noise.
+
+    The paper gives neither the limits nor what "locally prominent" is measured against: here against the mean height of
+    the seeds that share a facet with the cluster, each as often as it does. Facets are flooded over common corners, so
+    that each seed is of one cluster. Virtual seeds neither are noise nor join nor are compared with.
+
+    Parameters
+    ----------
+    tin : Tin
+    real : bool [vertices]
+        Not a virtual seed.
+    limits : ClusterLimits
+    in_doubt : uint8 [triangles]
+        See `ptd.ground.certificates.Doubt.triangles`.
+
+    Returns
+    -------
+    noise : bool [vertices]
+    unsure : bool [vertices]
+    """
+    vertices = tin.vertex_array[: 4 * tin.n_vertices].reshape(-1, 4)
+    facets = real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
+    corners = tin.triangle_array[: 8 * tin.n_triangles].reshape(-1, 8)[:, VERTEX : VERTEX + 3]
+    shaky = in_doubt[(corners >= 0).all(axis=1)] != 0
+    doubtful = corners[in_doubt != 0]  # beyond the hull as well: there a vertex may have facets unseen
+    tips, joins = _judge_facets(vertices, facets, real, limits.long_side, limits.narrow_cos, limits.z_ratio)
+    noise = np.zeros(real.size, np.bool_)
+    noise[tips[tips >= 0]] = True
+    unsure = np.zeros(real.size, np.bool_)
+    if doubtful.size:
+        unsure[doubtful[doubtful >= 0]] = True
+        unsure &= real
+        unsure[tips[(tips >= 0) & ~shaky]] = False
+        shaky |= unsure[facets].any(axis=1)
+    joins &= ~noise[facets].any(axis=1)
+    clusters = _flood(facets, joins, real.size)
+    size, total, around, total_around = _sums(vertices, facets, clusters, real & ~noise)
+    small = (size <= limits.small) & (size > 0) & (around > 0)
+    rise = total / np.maximum(size, 1) - total_around / np.maximum(around, 1)
+    found = noise | ((small & (rise > limits.prominence))[clusters] & real)
+    if shaky.any():
+        unsure |= _unsure_clusters(facets, joins, shaky, clusters, limits.small) & real
+    return found, unsure
+
+
+def _unsure_clusters(facets: Int32Array, joins: Bool, shaky: Bool, clusters: Int32Array, small: int) -> Bool:
+    """Vertices of clusters that a facet in doubt touches, unless certain facets alone join more than a few seeds."""
+    touched = np.zeros(clusters.size, np.bool_)
+    touched[clusters[facets[shaky]]] = True
+    certain = _flood(facets, joins & ~shaky, clusters.size)
+    members = np.bincount(certain, minlength=clusters.size)
+    found: Bool = touched[clusters] & (members[certain] <= small)
+    return found

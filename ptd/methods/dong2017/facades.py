@@ -1,0 +1,231 @@
+"""Seeds of a town in image matching: facades by the density of projected points, roads beside them.
+
+Source: Dong 2017 (004), section 3.1 and equations 1 and 3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import CellIndex, CellTable, Int32, Int64, slot_of
+from ptd.frame import Cells
+from ptd.ground.roughness import fit_plane
+from ptd.kernel import kernel
+
+Bool = npt.NDArray[np.bool_]
+
+BLOCK = 1
+"""Cells around a seed's own in which its surroundings have to be flat."""
+
+MIN_BLOCK_POINTS = 6
+"""Fewer points around a seed say nothing about how flat its place is."""
+
+CHANCE = 5.0
+"""Standard deviations (Poisson) by which the points of a facade's cell exceed those of flat ground."""
+
+
+class FacadeRule(NamedTuple):
+    """What facades and the roads beside them look like.
+
+    Attributes
+    ----------
+    straight, diagonal : int
+        Cells from a facade to a road, along and across the lattice.
+    min_drop : float
+        Vertical counts that the road lies below the other side.
+    variation : float
+        Horizontal counts: the noise around a seed's plane stays below.
+    z_ratio : float
+        Horizontal counts in one vertical count.
+    """
+
+    straight: int
+    diagonal: int
+    min_drop: float
+    variation: float
+    z_ratio: float
+
+
+def density_of(points_by_count: Mapping[int, int], cell_area_m2: float) -> float:
+    """Points per square metre of flat ground: the median over all occupied cells.
+
+    Parameters
+    ----------
+    points_by_count : mapping
+        Number of points -> how many points lie in cells that hold so many. Sums of points, each in its own tile,
+        need no owner for a cell that a tile's border cuts.
+    cell_area_m2 : float
+    """
+    cells = {count: points // count for count, points in sorted(points_by_count.items())}
+    half, seen = (sum(cells.values()) + 1) // 2, 0
+    for count, n in cells.items():
+        seen += n
+        if seen >= half:
+            return count / cell_area_m2
+    return 0.0
+
+
+def facade_threshold(density_m2: float, height_m: float, cell_m: float, glass_factor: float) -> float:
+    """Points of a cell that a facade crosses, ``(DEN h g + DEN g^2) c`` (004, equation 3).
+
+    The equation is printed without DEN in its second term; both are areas (of the facade, of the ground) times points
+    per area. c: part of a facade is glass, which is not matched (section 3.3.2). Ours: not less than what chance puts
+    into a cell of flat ground, `CHANCE` standard deviations above its mean; else a sparse cloud is all facades.
+    """
+    flat = density_m2 * cell_m * cell_m
+    facade = glass_factor * (density_m2 * height_m * cell_m + flat)
+    return max(facade, flat + CHANCE * math.sqrt(flat))
+
+
+@kernel
+def _median_point(x: Int32, y: Int32, z: Int32, order: Int64, first: int, last: int) -> int:
+    """The point of the (lower) median height of a cell; of equal heights by (x, y)."""
+    heights = np.empty(last - first, np.int32)
+    for k in range(first, last):
+        heights[k - first] = z[order[k]]
+    heights.sort()
+    middle = heights[(heights.size - 1) // 2]
+    best = -1
+    for k in range(first, last):
+        i = order[k]
+        if z[i] == middle and (best < 0 or x[i] < x[best] or (x[i] == x[best] and y[i] < y[best])):
+            best = i
+    return int(best)
+
+
+@kernel
+def _clearance2(table: CellTable, facade: Bool, column: int, row: int, reach: int) -> int:
+    """Squared cells to the nearest facade cell within `reach` columns and rows, (reach + 1)^2 if there is none."""
+    nearest = (reach + 1) * (reach + 1)
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            slot = slot_of(table, column + dx, row + dy)
+            if slot >= 0 and facade[slot]:
+                nearest = min(nearest, dx * dx + dy * dy)
+    return nearest
+
+
+@kernel
+def _road_points(x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, rule: FacadeRule) -> Int32:
+    """The median point of the road cell of each facade cell, -1 where there is none: int32 [cells]."""
+    keys, starts, width = table.keys, table.starts, table.width
+    median = np.full(keys.size, -2, np.int32)
+    chosen = np.full(keys.size, -1, np.int32)
+    steps = np.array([[1, 0], [0, 1], [1, 1], [1, -1]])
+    ends = np.empty(2, np.int64)
+    for s in range(keys.size):
+        if not facade[s]:
+            continue
+        row, column = keys[s] // width, keys[s] % width
+        farthest = -1
+        for d in range(4):
+            size = rule.straight if d < 2 else rule.diagonal
+            dx, dy = size * steps[d, 0], size * steps[d, 1]
+            for side in range(2):
+                sign = 1 - 2 * side
+                ends[side] = slot_of(table, column + sign * dx, row + sign * dy)
+                if ends[side] >= 0 and median[ends[side]] == -2:
+                    e = ends[side]
+                    median[e] = _median_point(x, y, z, table.order, starts[e], starts[e + 1])
+            if ends[0] < 0 or ends[1] < 0:
+                continue
+            z0, z1 = z[median[ends[0]]], z[median[ends[1]]]
+            lower = 0 if z0 < z1 else 1
+            road = ends[lower]
+            if abs(float(z0) - float(z1)) < rule.min_drop or facade[road]:
+                continue
+            sign = 1 - 2 * lower
+            clear = _clearance2(table, facade, column + sign * dx, row + sign * dy, rule.straight)
+            here = median[road]
+            if clear > farthest or (clear == farthest and z[here] < z[chosen[s]]):
+                farthest = clear
+                chosen[s] = here
+    return chosen
+
+
+@kernel
+def _variation(
+    x: Int32, y: Int32, z: Int32, table: CellTable, column: int, row: int, origin: int, z_ratio: float
+) -> float:
+    """Root mean square of the residuals of a plane through the points of a block of cells; inf where there is none.
+
+    The sums are of whole numbers, relative to a point of the block: the order of the points changes no bit.
+    """
+    s = np.zeros(10, np.int64)
+    for r in range(row - BLOCK, row + BLOCK + 1):
+        for c in range(column - BLOCK, column + BLOCK + 1):
+            slot = slot_of(table, c, r)
+            if slot < 0:
+                continue
+            for k in range(table.starts[slot], table.starts[slot + 1]):
+                i = table.order[k]
+                dx, dy, dz = (
+                    np.int64(x[i]) - x[origin],
+                    np.int64(y[i]) - y[origin],
+                    np.int64(z[i]) - z[origin],
+                )
+                moments = (1, dx, dy, dz, dx * dx, dx * dy, dy * dy, dx * dz, dy * dz, dz * dz)
+                for m in range(10):
+                    s[m] += moments[m]
+    if s[0] < MIN_BLOCK_POINTS:
+        return math.inf
+    a, b, _, squares = fit_plane(s, z_ratio)
+    return math.inf if squares < 0.0 else math.sqrt(squares / (s[0] - 3) / (1.0 + a * a + b * b))
+
+
+@kernel
+def _flat(
+    x: Int32, y: Int32, z: Int32, table: CellTable, seeds: Int32, columns: Int64, rows: Int64,
+    largest: float, z_ratio: float,
+) -> Bool:  # fmt: skip
+    out = np.zeros(seeds.size, np.bool_)
+    for k in range(seeds.size):
+        out[k] = _variation(x, y, z, table, columns[k], rows[k], seeds[k], z_ratio) < largest
+    return out
+
+
+class Facades:
+    """The cells of a window that hold a facade.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Local counts of all points but vegetation; at least one.
+    cells : Cells
+    min_points : float
+        See `facade_threshold`.
+    """
+
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells, min_points: float) -> None:
+        self.x, self.y, self.z = x, y, z
+        self.index = CellIndex(x, y, cells)
+        self.holds = np.diff(self.index.table.starts) > min_points
+
+    def points(self) -> Int64:
+        """Indices of the points in facade cells."""
+        i = self.index.table
+        parts = [i.order[i.starts[s] : i.starts[s + 1]] for s in np.flatnonzero(self.holds)]
+        return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+
+    def seeds(self, rule: FacadeRule) -> Int32:
+        """Points on roads beside facades (004, 3.1, step 3); int32 [m], indices by cell of facade.
+
+        From a facade cell four lines lead over the facade (along and across the lattice, and diagonally), with a cell
+        at the same distance on both sides. The lower of the two is the road; of the four lines that counts whose
+        road is farthest from all facade cells, which is the one most nearly square to the facade; then the lower
+        one. The point is that of the median height of its cell, as the lowest is a blunder or at the noise's lower
+        end. It is refused unless the points around it lie on a plane but for noise.
+        """
+        x, y, z, table = self.x, self.y, self.z, self.index.table
+        found = _road_points(x, y, z, table, self.holds, rule)
+        found = found[found >= 0]
+        found = found[np.sort(np.unique(found, return_index=True)[1])]
+        columns, rows = self.index.places(x[found], y[found])
+        flat = _flat(x, y, z, table, found, columns, rows, rule.variation, rule.z_ratio)
+        kept: Int32 = found[flat]
+        return kept

@@ -1,0 +1,168 @@
+"""The passes of `dong2017` that make ground from seeds: measurements and densifications in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ptd.frame import Cells, Scale, Window
+from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial
+from ptd.ground.histogram_contour import contour_reach
+from ptd.ground.labelling import GROUND, UNCLASSIFIED
+from ptd.methods.dong2017.distance_threshold import second_difference_jump
+from ptd.methods.dong2017.growth import Growth, Stage, picks
+from ptd.methods.dong2017.params import Dong2017Parameters
+from ptd.methods.dong2017.seed_passes import VEGETATION
+from ptd.passes import Measured, MethodRefusal, Pass, Points, State, UInt8, noted
+from ptd.tin.mesh import Tin
+
+PLANE = Bins(0.025, 120, 0.01, 60)
+"""Histogram of distances and angles: eight times the published thresholds in distance, nearly twice in angle."""
+
+JUMP_BINS = 2
+"""Bins of distance that are taken together to look for the jump."""
+
+MEASURED_CELLS = 2
+"""Largest circumradius of a facet of ground whose points are measured, in cells."""
+
+
+@dataclass(frozen=True)
+class FirstMeasurement(Pass):
+    """Step 5: distances of all points to the TIN of the seeds."""
+
+    params: Dong2017Parameters
+    widest_m: float
+    reach_m: float | None
+    name: str = "measure-first"
+    columns: tuple[str, ...] = ("labels",)
+    every_point: bool = True
+    gives_labels: bool = False
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+        """Count the open points of the core in compact facets."""
+        labels = points.known_labels()
+        tin = Tin.build(*points.xyz[:, labels == GROUND])
+        trial = Trial(tin, scale, self.widest_m)
+        return _measured(trial, points, core, labels == UNCLASSIFIED)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """The first distance by the jump; the angle of the contour below it."""
+        plane = _summed(partials)
+        rows = plane.sum(axis=1).reshape(-1, JUMP_BINS).sum(axis=1)
+        jump = second_difference_jump(rows.tolist())
+        within = plane[: (jump or 0) * JUMP_BINS]
+        contour = _contour(within, self.params.contour_level)
+        if jump is None or contour is None:
+            raise MethodRefusal(
+                f"no jump in the distances to the TIN of {state['seeds']} seeds: too few seeds near each other; "
+                "use another method, or --set seed_cell to something larger"
+            )
+        found = Threshold(jump * JUMP_BINS * PLANE.distance_m, contour.angle_rad)
+        return _with_threshold(state, "first TIN of seeds", found)
+
+
+@dataclass(frozen=True)
+class FirstGround(Pass):
+    """Step 5: the points within the first thresholds of the seeds' TIN."""
+
+    stage: Stage
+    reach_m: float | None
+    name: str = "first"
+    columns: tuple[str, ...] = ("labels",)
+    every_point: bool = True
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
+        """Build the TIN of the seeds."""
+        return Growth(self.stage, Threshold(**state["threshold"]), points, window, scale)
+
+
+@dataclass(frozen=True)
+class Measurement(Pass):
+    """Step 6: distances and angles of the ground found so far to a TIN of one point per cell."""
+
+    params: Dong2017Parameters
+    name: str
+    spacing_m: float
+    reach_m: float | None
+    columns: tuple[str, ...] = ("labels",)
+    every_point: bool = True
+    gives_labels: bool = False
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+        """Count the ground points of the core that are no vertices."""
+        ground = points.known_labels() == GROUND
+        vertices = points.xyz[:, picks(points, ground, Cells.of(self.spacing_m, scale), 0)]
+        trial = Trial(Tin.build(*vertices), scale, MEASURED_CELLS * self.spacing_m)
+        return _measured(trial, points, core, ground)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """Reach of the outer contour."""
+        contour = _contour(_summed(partials), self.params.contour_level)
+        if contour is None:
+            raise MethodRefusal(
+                f"no ground near the TIN of {state['seeds']} seeds to measure at {self.spacing_m:g} m; "
+                "use another method"
+            )
+        return _with_threshold(state, f"TIN of {self.spacing_m:g} m", contour)
+
+
+@dataclass(frozen=True)
+class Densification(Pass):
+    """Step 6: points that pass in one of several TINs of one density."""
+
+    name: str
+    stage: Stage
+    last: bool
+    halo_m: float | None
+    columns: tuple[str, ...] = ("labels",)
+    every_point: bool = True
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
+        """Build the TINs."""
+        kind = FinalGrowth if self.last else Growth
+        return kind(self.stage, Threshold(**state["threshold"]), points, window, scale)
+
+
+class FinalGrowth(Growth):
+    """Its labels are the final ones."""
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Vegetation is unclassified in the end."""
+        labels, marked = super().label(points)
+        labels[labels == VEGETATION] = UNCLASSIFIED
+        return labels, marked
+
+
+def _measured(trial: Trial, points: Points, core: Window, which: Bool) -> Measured:
+    """The chosen points of the core in the plane of distances and angles."""
+    counts = trial.count(*points.columns(), which & core.has(points.xyz[0], points.xyz[1]), PLANE)
+    return Measured({"plane": counts.tolist()}, {"measured": int(counts.sum())})
+
+
+def _summed(partials: Iterable[dict[str, Any]]) -> Int64:
+    plane = np.zeros((PLANE.distances, PLANE.angles), np.int64)
+    for partial in partials:
+        plane += np.array(partial["plane"], np.int64)
+    return plane
+
+
+def _contour(plane: Int64, level: float) -> Threshold | None:
+    """Largest distance and angle of the outer contour around the plane's peak; None without counts."""
+    found = contour_reach(plane, max(level * plane.max(), 1.0)) if plane.size else None
+    return None if found is None else Threshold(found[0] * PLANE.distance_m, found[1] * PLANE.angle_rad)
+
+
+def _with_threshold(state: State, where: str, found: Threshold) -> dict[str, Any]:
+    note = f"{where}: distance {found.distance_m:.3f} m, angle {found.angle_rad:.3f} rad"
+    before = state.get("threshold")
+    if before is not None:
+        shrinks, grows = found.distance_m <= before["distance_m"], found.angle_rad >= before["angle_rad"]
+        odd = [
+            *([] if shrinks else ["distance does not shrink"]),
+            *([] if grows else ["angle does not grow"]),
+        ]
+        note += f" ({' and '.join(odd)}, unlike in the paper)" if odd else ""
+    return {**state, "threshold": found._asdict(), "notes": noted(state, note)}

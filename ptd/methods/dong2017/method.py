@@ -1,0 +1,126 @@
+"""``dong2017``: coloured image matching of towns, after Dong et al. (ISPRS Archives XLII-2/W7:703, 2017; paper 004).
+
+Vegetation is told by colour, seeds are looked for on the roads beside facades, and ground grows by tests against TINs
+of growing density whose thresholds are estimated from the run.
+
+=====================  ==============================  ========  =================================================
+parameter              paper's name and value          default   reason
+=====================  ==============================  ========  =================================================
+facade_cell            GRIDESIZE (g), no value         1 m       holds tens of points in a cloud of images
+facade_height          default height H (h), no value  3 m       one storey: what lower steps there are is no matter
+glass_factor           coefficient for glass, no       0.5       half of a facade is matched
+                       value
+seed_distance          d, no value                     4 m       past eaves and pavements, within narrow streets
+seed_variation         2 sigma                         2         the paper's
+podium_radius          neighbourhood of a seed, no     15 m      the paper's figure 4: the true seed is beside the
+                       value                                     podium
+terrain_slope          0.3 (equation 1)                0.3       the paper's
+seed_cell              none                            15 m      "of seeds near each other the lower": one per cell
+first_spacing          4 m                             4 m       the paper's
+last_spacing           2 m, the last one told          1 m       until all are classified (3.2, step 4): figures in
+                                                                 ``ptd/DESIGN.md``
+tins                   "several"                       8         ground grows by two cells with each; figures there
+contour_level          none, read off a plot           0.01      gives the published thresholds on like noise
+=====================  ==============================  ========  =================================================
+
+sigma, which the paper gets from planes picked by hand, is that of ``--sigma``, or found by `ptd.ground.roughness`.
+GLI's threshold is Otsu's (3.3.1), the first distance the jump of the second difference (3.3.3), the later
+thresholds come from the plane of angles and distances (3.3.4): none of them is a parameter.
+
+Deviations: Otsu's threshold is used only where the histogram has a grey and a green mode, and lies between them. A
+cell holds a facade only if chance does not fill it so. A seed is dropped for a lower one only if ground cannot be so
+steep (equation 1), or on any slope the lowest alone would stay. The first angle is not explained in the paper: it is
+the contour's among the points within the first distance. The smallest of a point's angles counts, as the paper says
+in 3.3.4 (Axelsson takes the largest). The paper tests ground between facades alone; here each TIN of one density
+holds what passed in those before it, and a rim of virtual points on the planes of the ground around it, so ground
+grows beyond the facades. Facets across more than a few cells test nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ptd.ground import roughness
+from ptd.methods.dong2017.ground_passes import (
+    MEASURED_CELLS,
+    Densification,
+    FirstGround,
+    FirstMeasurement,
+    Measurement,
+)
+from ptd.methods.dong2017.growth import Stage
+from ptd.methods.dong2017.params import Dong2017Parameters
+from ptd.methods.dong2017.seed_passes import SeedPass, Survey
+from ptd.passes import Method, Pass
+
+BLOCK_CELLS = 2
+"""Cells beyond the one at `seed_distance` that may hold points of the block around a seed: one cut, one beside it."""
+
+MEASURED_SEEDS = 1.5
+"""Largest circumradius of a facet of seeds whose points are measured, in their cells: that of neighbouring ones."""
+
+SLACK_M = 1.0
+"""More than what roundings can add to a reach."""
+
+WIDEST_SEEDS = 3.0
+"""Largest circumradius of a facet of seeds that tests points, in their cells: seeds lie along streets."""
+
+
+@dataclass(frozen=True)
+class Dong2017(Dong2017Parameters):
+    """Parameters of `dong2017` (see the module's table), and what follows from them for a run."""
+
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        """Survey, seeds and their TIN; then a measurement and a densification for each density."""
+        first, measured_m = self.first_stage, MEASURED_SEEDS * self.seed_cell_m
+        steps: list[Pass] = [
+            Survey(self, max(roughness.REACH_M, self.facade_cell_m)), SeedPass(self, self.seed_reach_m),
+            FirstMeasurement(self, measured_m, 2 * measured_m + SLACK_M), FirstGround(first, first.reach_m + SLACK_M),
+        ]  # fmt: skip
+        for spacing in self.spacings_m:
+            stage, last = Stage.of_ground(spacing, self.tins), spacing == self.spacings_m[-1]
+            reach = (2 * MEASURED_CELLS + 1) * spacing + SLACK_M
+            steps.append(Measurement(self, f"measure-{spacing:g}m", spacing, reach))
+            steps.append(Densification(f"densify-{spacing:g}m", stage, last, stage.reach_m))
+        return tuple(steps)
+
+    @property
+    def first_stage(self) -> Stage:
+        """The TIN of the seeds."""
+        return Stage(self.seed_cell_m, WIDEST_SEEDS * self.seed_cell_m, 1, rim=False)
+
+    @property
+    def halo_m(self) -> float:
+        """What the first densification reaches; the others less."""
+        return Stage.of_ground(self.first_spacing_m, self.tins).reach_m
+
+    @property
+    def align_m(self) -> float:
+        """Windows hold whole cells of the first densification, and so of the others."""
+        return self.first_spacing_m
+
+    @property
+    def margin_m(self) -> float:
+        """Nothing beyond the cells decides."""
+        return 0.0
+
+    @property
+    def candidate_cell_m(self) -> float:
+        """Every point counts: facades are told by density, and the lowest of a cell is at the noise's lower end."""
+        return 0.0
+
+    @property
+    def seed_reach_m(self) -> float:
+        """Metres from a point beyond which nothing changes whether it is a seed.
+
+        Over the facade to the block on its other side, for it and for its neighbours in podium and seed cell.
+        """
+        own = 2 * self.seed_distance_m + 2 * BLOCK_CELLS * self.facade_cell_m
+        return own + self.podium_radius_m + math.sqrt(2) * self.seed_cell_m
+
+
+METHOD = Method(
+    "dong2017", "coloured image matching of towns: seeds beside facades (Dong 2017)", Dong2017, needs=("rgb",)
+)

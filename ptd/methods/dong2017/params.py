@@ -1,0 +1,84 @@
+"""Parameters of `dong2017`; the table in `dong2017` gives the reasons of their defaults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ptd.params import check, parameter
+
+
+@dataclass(frozen=True)
+class Dong2017Parameters:
+    """What can be set; `ptd.methods.dong2017.method.Dong2017` adds the passes."""
+
+    facade_cell_m: float = parameter(
+        1.0, "side of the cells in which projected points are counted", unit="m", minimum=0.25, maximum=10.0,
+        source="Dong 2017, 3.3.2: GRIDESIZE",
+    )  # fmt: skip
+    facade_height_m: float = parameter(
+        3.0,
+        "height of a building by default",
+        unit="m",
+        minimum=0.5,
+        maximum=100.0,
+        source="Dong 2017, 3.3.2: H",
+    )
+    glass_factor: float = parameter(
+        0.5,
+        "share of a facade that is matched, the rest is glass",
+        minimum=0.01,
+        maximum=1.0,
+        source="Dong 2017, 3.3.2",
+    )
+    seed_distance_m: float = parameter(
+        4.0,
+        "distance of a seed from the facade",
+        unit="m",
+        minimum=1.0,
+        maximum=30.0,
+        source="Dong 2017, 3.1: d",
+    )
+    seed_variation: float = parameter(
+        2.0,
+        "noise around a seed, in sigma, stays below",
+        minimum=0.5,
+        maximum=10.0,
+        source="Dong 2017, 3.1: 2 sigma",
+    )
+    podium_radius_m: float = parameter(
+        15.0, "neighbourhood in which a lower seed drops one that is too high above it", unit="m", minimum=1.0,
+        maximum=100.0, source="Dong 2017, 3.1: neighbourhood of a seed",
+    )  # fmt: skip
+    terrain_slope: float = parameter(
+        0.3, "rise per metre between two seeds that both are ground", minimum=0.0, maximum=5.0,
+        source="Dong 2017, equation 1: 0.3",
+    )  # fmt: skip
+    seed_cell_m: float = parameter(
+        15.0, "one seed, the lowest, per cell of this side", unit="m", minimum=2.0, maximum=200.0
+    )
+    first_spacing_m: float = parameter(
+        4.0, "side of the cells of the first TIN of ground, halved until the last", unit="m", minimum=0.5,
+        maximum=50.0, source="Dong 2017, table 4: 4 m",
+    )  # fmt: skip
+    last_spacing_m: float = parameter(
+        1.0, "side of the cells of the last TIN of ground", unit="m", minimum=0.25, maximum=50.0,
+        source="Dong 2017, table 4: 2 m",
+    )  # fmt: skip
+    tins: int = parameter(
+        8, "TINs of each density", minimum=1, maximum=20, source="Dong 2017, 3.2: several TINs"
+    )
+    contour_level: float = parameter(
+        0.01, "height of the contour that gives the thresholds, in parts of the histogram's peak", minimum=0.0001,
+        maximum=0.9, source="Dong 2017, 3.3.4",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    @property
+    def spacings_m(self) -> tuple[float, ...]:
+        """Sides of the cells of the TINs of ground: the first, then halves down to the last."""
+        found = [self.first_spacing_m]
+        while found[-1] > self.last_spacing_m:
+            found.append(max(found[-1] / 2, self.last_spacing_m))
+        return tuple(found)

@@ -1,0 +1,202 @@
+"""The first passes of `dong2017`: greenness, density and noise of the run, then seeds beside facades."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, lowest_per_cell
+from ptd.frame import Cells, Scale, Window
+from ptd.ground import roughness
+from ptd.ground.distance_angle import Bool
+from ptd.ground.labelling import GROUND, UNCLASSIFIED
+from ptd.methods.dong2017.facades import FacadeRule, Facades, density_of, facade_threshold
+from ptd.methods.dong2017.greenness import BINS, COLOURLESS, gli_bins, green_from, index_of_bin
+from ptd.methods.dong2017.params import Dong2017Parameters
+from ptd.methods.dong2017.podiums import on_podium
+from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
+
+VEGETATION = 5
+"""Label between passes: no ground by its colour. Seeds are `GROUND`, all else `UNCLASSIFIED`."""
+
+
+@dataclass(frozen=True)
+class Survey(Pass):
+    """Step 1 and what it takes to know facades: greenness, density and noise of the run."""
+
+    params: Dong2017Parameters
+    reach_m: float | None
+    name: str = "survey"
+    columns: tuple[str, ...] = ("rgb",)
+    every_point: bool = True
+    gives_labels: bool = False
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+        """Count greenness and points per cell; measure planar patches."""
+        own = core.has(points.xyz[0], points.xyz[1])
+        bins = gli_bins(_rgb(points))
+        counts = np.bincount(bins[own & (bins != COLOURLESS)], minlength=BINS)
+        x, y, _ = points.columns()
+        cells = Cells.of(self.params.facade_cell_m, scale)
+        found: dict[str, Any] = {
+            "gli": counts.tolist(), "points": int(own.sum()), "cells": _points_by_count(x, y, cells, own),
+        }  # fmt: skip
+        if state["run"]["sigma_m"] is None:
+            found["patches"] = roughness.measure(points.xyz, window, core, scale)
+        return Measured(found, {"points": int(own.sum())})
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """Threshold of greenness, density, noise."""
+        gli, cells, patches = np.zeros(BINS, np.int64), Counter[int](), []
+        for partial in partials:
+            gli += np.array(partial["gli"], np.int64)
+            cells.update({int(count): int(points) for count, points in partial["cells"]})
+            if "patches" in partial:
+                patches.append(partial["patches"])
+        if not gli.any():
+            raise MethodRefusal("no point has a colour, dong2017 tells vegetation by it; use another method")
+        green, density = green_from(gli.tolist()), density_of(cells, self.params.facade_cell_m**2)
+        sigma, origin = _sigma(state["run"]["sigma_m"], patches)
+        share = gli[green:].sum() / gli.sum() if green is not None else 0.0
+        vegetation = (
+            "vegetation by colour: none, the histogram of greenness (GLI) has no two modes" if green is None else
+            f"vegetation by colour: GLI above {index_of_bin(green):.3f} (Otsu), {share:.1%} of the points"
+        )  # fmt: skip
+        return {
+            **state, "green_from": green, "density_m2": density, "sigma_m": sigma,
+            "notes": noted(state, vegetation, f"noise {sigma:g} m ({origin}), {density:.1f} points/m2"),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SeedPass(Pass):
+    """Steps 2 to 4: facades, seeds beside them, podiums. Labels: vegetation, seeds, the rest."""
+
+    params: Dong2017Parameters
+    reach_m: float | None
+    name: str = "seeds"
+    columns: tuple[str, ...] = ("rgb",)
+    every_point: bool = True
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> SeedModel:
+        """Find the window's seeds."""
+        return SeedModel(self.params, points, core, scale, state)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """Refuse a run without facades or seeds."""
+        total: Counter[str] = Counter()
+        for partial in partials:
+            total.update(partial)
+        p = self.params
+        if not total["facade_points"]:
+            least = facade_threshold(state["density_m2"], p.facade_height_m, p.facade_cell_m, p.glass_factor)
+            raise MethodRefusal(
+                f"no facade found: no cell of {p.facade_cell_m:g} m holds more than {least:.0f} points (the cloud has "
+                f"{state['density_m2']:.1f}/m2); seeds lie beside facades, so use another method, or --set "
+                f"facade_height or --set glass_factor to something lower"
+            )
+        if not total["seeds"]:
+            raise MethodRefusal(
+                f"no seed found beside the facades ({total['facade_points']} points in them): no flat place "
+                f"{p.seed_distance_m:g} m from one; use another method, or other --set seed_distance, a larger --sigma"
+            )
+        note = (
+            f"facades: {total['facade_points']:,} points in dense cells; {total['seeds']:,} seeds beside them"
+        )
+        return {**state, "seeds": total["seeds"], "notes": noted(state, note)}
+
+
+class SeedModel(Model):
+    """Seeds of a window."""
+
+    def __init__(
+        self, params: Dong2017Parameters, points: Points, core: Window, scale: Scale, state: State
+    ) -> None:
+        self.green = state["green_from"]
+        keep = ~_green(points, self.green)
+        x, y, z = (np.ascontiguousarray(c) for c in points.xyz[:, keep])
+        self._facade_points = 0
+        chosen = np.zeros(0, np.int32)
+        if x.size:
+            least = facade_threshold(
+                state["density_m2"], params.facade_height_m, params.facade_cell_m, params.glass_factor
+            )
+            facades = Facades(x, y, z, Cells.of(params.facade_cell_m, scale), least)
+            inside = facades.points()
+            self._facade_points = int(core.has(x[inside], y[inside]).sum())
+            chosen = _seeds(params, facades, scale, state["sigma_m"])
+        self._seeds = {tuple(v) for v in np.stack([x, y, z], axis=1)[chosen].tolist()}
+        self._own = int(core.has(x[chosen], y[chosen]).sum())
+        self.stats = {"seeds": len(self._seeds), "facade_cells": int(facades.holds.sum()) if x.size else 0}
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Vegetation, seeds, the rest."""
+        x, y, z = points.columns()
+        labels = np.full(x.size, UNCLASSIFIED, np.uint8)
+        if self._seeds:
+            seeds = np.array(sorted(self._seeds), np.int32).T
+            at = np.flatnonzero(np.isin(x, seeds[0]) & np.isin(y, seeds[1]) & np.isin(z, seeds[2]))
+            for i in at:
+                if (int(x[i]), int(y[i]), int(z[i])) in self._seeds:
+                    labels[i] = GROUND
+        labels[_green(points, self.green)] = VEGETATION
+        return labels, np.zeros(len(points), np.bool_)
+
+    def partial(self) -> dict[str, Any]:
+        """Points in facades and seeds of the core."""
+        return {"facade_points": self._facade_points, "seeds": self._own}
+
+
+def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float) -> Int32:
+    """Steps 3 and 4: indices of the points of `facades` that are seeds."""
+    cell = p.facade_cell_m
+    rule = FacadeRule(
+        max(1, round(p.seed_distance_m / cell)), max(1, round(p.seed_distance_m / (math.sqrt(2) * cell))),
+        # A facade is counted from the height on that fills its cell so far.
+        scale.counts_z(p.glass_factor * p.facade_height_m), scale.counts(p.seed_variation * sigma_m), scale.z_ratio,
+    )  # fmt: skip
+    x, y, z = facades.x, facades.y, facades.z
+    found = facades.seeds(rule)
+    found = found[
+        ~on_podium(x[found], y[found], z[found], scale, p.podium_radius_m, p.terrain_slope, sigma_m)
+    ]
+    return found[lowest_per_cell(x[found], y[found], z[found], Cells.of(p.seed_cell_m, scale))]
+
+
+def _sigma(given: float | None, patches: list[dict[str, Any]]) -> tuple[float, str]:
+    if given is not None:
+        return given, "--sigma"
+    found = roughness.merge(patches)
+    if found.sigma_m is None:
+        raise MethodRefusal("no planar patch to measure the noise of heights; say it with --sigma (metres)")
+    return found.sigma_m, f"from {found.patches:,} planar patches"
+
+
+def _points_by_count(x: Int32, y: Int32, cells: Cells, own: Bool) -> list[list[int]]:
+    """[number, points of the core in cells with so many points], in the order of the numbers."""
+    if not x.size:
+        return []
+    columns, rows = cells.places(x, y)
+    keys = (rows - rows.min()) * (int(columns.max() - columns.min()) + 1) + columns - columns.min()
+    _, slot, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    found, points = np.unique(counts[slot[own]], return_counts=True)
+    return [[int(n), int(p)] for n, p in zip(found, points, strict=True)]
+
+
+def _rgb(points: Points) -> npt.NDArray[np.uint16]:
+    if points.rgb is None:
+        raise ValueError("the pass was given no colours")
+    return points.rgb
+
+
+def _green(points: Points, green_from: int | None) -> Bool:
+    if green_from is None:
+        return np.zeros(len(points), np.bool_)
+    found: Bool = gli_bins(_rgb(points)) >= green_from
+    return found

@@ -1,0 +1,72 @@
+"""An even TIN: one ground point, picked at random, of each cell of a scale (Dong 2018, 2.5.3)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ptd.cells import Int32
+from ptd.frame import Cells, Scale, Window
+from ptd.ground.certificates import Doubt
+from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial
+from ptd.ground.random_choice import picked_per_cell
+from ptd.tin.mesh import Tin
+
+WIDEST_M = 20.0
+"""Facets of a larger circumradius lie under large objects or across voids, are not even, and say nothing."""
+
+DISTANCE_BIN_M = 0.02
+ANGLE_BIN_DEG = 1.0
+BINS = Bins(DISTANCE_BIN_M, 150, math.radians(ANGLE_BIN_DEG), 90)
+
+_SALT = 2018
+
+
+def reach_m(scale_m: float) -> float:
+    """Metres around a point beyond which nothing decides on it: a facet of the largest circle, and its cut cells."""
+    return 2.0 * WIDEST_M + 2.0 * scale_m
+
+
+class EvenTin:
+    """The TIN of a window, and what it says of points.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Points of the window, local counts, in any order.
+    ground : bool [n]
+    scale_m : float
+        Side of the cells of which one ground point each is a vertex.
+    window : Window
+    scale : Scale
+    """
+
+    def __init__(
+        self, x: Int32, y: Int32, z: Int32, ground: Bool, scale_m: float, window: Window, scale: Scale
+    ) -> None:
+        index = np.flatnonzero(ground)
+        cells = Cells.of(scale_m, scale)
+        picked = index[picked_per_cell(x[index], y[index], z[index], cells, _SALT)]
+        self.left_out = ground.copy()
+        self.left_out[picked] = False
+        tin = Tin.build(x[picked], y[picked], z[picked])
+        known = window.inside(cells)
+        box = (0, 0, 1, 1)
+        if picked.size:
+            px, py = x[picked], y[picked]
+            box = int(px.min()), int(py.min()), int(px.max()) + 1, int(py.max()) + 1
+        self._doubt = Doubt(known, known, box, scale)
+        self._trial = Trial(tin, scale, WIDEST_M, self._doubt, largest=True)
+        self.vertices = int(picked.size)
+
+    def histogram(self, x: Int32, y: Int32, z: Int32, which: Bool) -> Int64:
+        """Distances and angles of the chosen points: int64 [distances, angles] of `BINS`."""
+        return self._trial.count(x, y, z, which, BINS)
+
+    def near(
+        self, x: Int32, y: Int32, z: Int32, which: Bool, distance_m: float, angle_deg: float
+    ) -> tuple[Bool, Bool]:
+        """Which of the chosen points are within distance and angle of their facet, and for which that is in doubt."""
+        threshold = Threshold(distance_m, math.radians(angle_deg))
+        return self._trial.test(x, y, z, which, threshold, self._doubt)

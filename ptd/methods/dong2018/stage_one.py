@@ -1,0 +1,154 @@
+"""The first two passes of `dong2018`: the noise and what follows from it, and stage one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ptd.frame import Cells, Scale, Window
+from ptd.ground import roughness
+from ptd.ground.densify import densify_seeds
+from ptd.ground.distance_angle import Bool
+from ptd.ground.labelling import GROUND, LOW_NOISE, LowNoise, Terrain, unlabelled
+from ptd.methods.classic import ClassicModel, thinned
+from ptd.methods.dong2018 import pits
+from ptd.methods.dong2018.params import Dong2018Parameters
+from ptd.passes import Int32, Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
+
+SPARSE_M2 = 1.0
+"""Points per square metre below which no plausible noise matters."""
+
+
+@dataclass(frozen=True)
+class NoisePass(Pass):
+    """Steps 1 and 2: density, noise, DEN_thr, and whether the run leaves stage one."""
+
+    params: Dong2018Parameters
+    name: str = "noise"
+    every_point: bool = True
+    gives_labels: bool = False
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+        """Look for planar patches."""
+        return Measured(roughness.measure(points.xyz, window, core, scale))
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """``density_m2``, ``cells``, ``sigma_m``, ``patches``, ``threshold_m2``, ``thin_cell_m`` and ``dense``.
+
+        Raises
+        ------
+        MethodRefusal
+            No planar patch where the noise matters; a thinning cell that cannot reach DEN_thr.
+        """
+        parts = list(partials)
+        found = roughness.merge(parts)
+        given = state["run"]["sigma_m"]
+        sigma = given if given is not None else found.sigma_m
+        figures = {
+            "density_m2": found.density_m2, "cells": sum(p["cells"] for p in parts), "sigma_m": sigma,
+            "patches": found.patches, "threshold_m2": None, "thin_cell_m": None, "dense": False,
+        }  # fmt: skip
+        density = f"{found.density_m2:.3g} points/m2"
+        least = self.params.threshold_m2(sigma or roughness.LARGEST_SIGMA_M)
+        if found.density_m2 < SPARSE_M2 or (sigma is None and found.density_m2 <= least):
+            return with_notes(
+                state, figures, f"{density}: too sparse for noise to matter, so the result is classic's"
+            )
+        if sigma is None:
+            raise MethodRefusal(
+                f"dong2018: {found.patches or 'no'} planar patches of ground are too few to estimate the noise of"
+                f" heights, which matters at {density}; give it with --sigma METRES"
+            )
+        origin = "given" if given is not None else f"from {found.patches} planar patches"
+        what = f"sigma {sigma:.3g} m ({origin}), {density}, DEN_thr {least:.3g} points/m2"
+        figures["threshold_m2"] = least
+        if found.density_m2 <= least:
+            return with_notes(state, figures, f"{what}: sparser than that, so the result is classic's")
+        cell = self.params.thin_cell_m or _thin_cell(least)
+        if 1.0 / cell**2 <= least:
+            raise MethodRefusal(
+                f"dong2018: with thin_cell {cell:g} m the TIN cannot be denser than {1 / cell**2:.3g} points/m2 and"
+                f" never passes DEN_thr ({what}); use --set thin_cell={_thin_cell(least):g}, or 0 to have it chosen"
+            )
+        figures.update(dense=True, thin_cell_m=cell)
+        return with_notes(state, figures, f"{what}: two stages, vertices of stage one thinned to {cell:g} m")
+
+
+def _thin_cell(threshold_m2: float) -> float:
+    """The coarsest thinning cell, of whole centimetres and at most a metre, with which a TIN can pass a density."""
+    centimetres = math.ceil(100.0 / math.sqrt(threshold_m2)) - 1
+    return min(max(centimetres, 1), 100) / 100
+
+
+def with_notes(state: State, figures: dict[str, Any], *lines: str) -> dict[str, Any]:
+    """The state with figures, and lines that tell of them."""
+    return {**state, **figures, "notes": noted(state, *(f"dong2018: {line}" for line in lines))}
+
+
+def even_edge_m(density_m2: float) -> float:
+    """Edge of the equilateral facets of a TIN of that density: a vertex for each two of them."""
+    return math.sqrt(2.0 / (math.sqrt(3.0) * density_m2))
+
+
+@dataclass(frozen=True)
+class StageOnePass(Pass):
+    """Step 3. In a dense cloud only vertices are ground afterwards, as in the paper; else `classic` as it is."""
+
+    params: Dong2018Parameters
+    name: str = "stage-one"
+    every_point: bool = True
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+        """Densify the window's TIN."""
+        if not state["dense"]:
+            return ClassicModel(self.params.classic(), points.xyz, window, scale)
+        return StageOneModel(self.params, points.xyz, window, scale, state)
+
+
+class StageOneModel(Model):
+    """A window's TIN where noise begins to matter."""
+
+    def __init__(
+        self, params: Dong2018Parameters, xyz: Int32, window: Window, scale: Scale, state: State
+    ) -> None:
+        self._scale, self._closed = scale, window.closed
+        x, y, z = (np.ascontiguousarray(c) for c in xyz)
+        self._terrain: Terrain | None = None
+        self.stats: dict[str, Any] = {"candidates": 0, "rounds": 0, "pit_points": 0, "vertices": 0}
+        if not x.size:
+            return
+        self._depth = math.ceil(scale.counts_z(params.pit_sigmas * state["sigma_m"]))
+        self._pits = pits.pits(x, y, z, params.pit_sigmas * state["sigma_m"], scale)
+        low = self._pits.holds(x, y, z)
+        cell = float(state["thin_cell_m"])
+        x, y, z = thinned(np.stack([x, y, z])[:, ~low], cell, scale)
+        edge = even_edge_m(state["threshold_m2"])
+        limits = replace(params, edge_length_stop_m=max(params.edge_length_stop_m, edge)).limits(scale)
+        cells = Cells.of(cell, scale)
+        known = window.inside(Cells.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)
+        tin, in_doubt, rounds = densify_seeds(
+            x, y, z, np.zeros(x.size, np.bool_), Cells.of(params.max_building_size_m, scale), limits, params.rounds,
+            known, scale,
+        )  # fmt: skip
+        none = np.zeros(0, np.int32)
+        self._terrain = Terrain(
+            tin, in_doubt, LowNoise(none, none, none, cells), limits, 0.0, vertices_only=True
+        )
+        self.stats.update(
+            candidates=int(x.size), rounds=rounds, pit_points=int(low.sum()), vertices=tin.n_vertices
+        )
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Vertices are ground, points in pits below the TIN low noise."""
+        if self._terrain is None:
+            return unlabelled(points, self._closed)
+        labels, marked = self._terrain.label(points)
+        x, y, z = points.columns()
+        low = np.flatnonzero((labels != GROUND) & self._pits.holds(x, y, z))
+        below = z[low] < self._terrain.tin.heights(x[low], y[low]) - self._depth
+        labels[low[below]] = LOW_NOISE
+        return labels, marked

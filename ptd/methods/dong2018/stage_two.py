@@ -1,0 +1,156 @@
+"""Stage two of `dong2018`: for each scale a pass that finds the thresholds and one that applies them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ptd.frame import Scale, Window
+from ptd.ground import roughness
+from ptd.ground.distance_angle import Bool
+from ptd.ground.histogram_contour import contour_reach
+from ptd.ground.labelling import GROUND, UNCLASSIFIED
+from ptd.methods.dong2018.even_tin import ANGLE_BIN_DEG, BINS, DISTANCE_BIN_M, EvenTin
+from ptd.methods.dong2018.params import Dong2018Parameters
+from ptd.methods.dong2018.stage_one import with_notes
+from ptd.passes import Measured, Model, Pass, Points, State, UInt8
+
+JOINED = 4
+"""Label between passes: joined at the last scale; else the labels are ASPRS classes."""
+
+
+@dataclass(frozen=True)
+class MeasurePass(Pass):
+    """Step 4, the thresholds of scale number `index`."""
+
+    params: Dong2018Parameters
+    index: int
+    columns: tuple[str, ...] = ("labels",)
+    every_point: bool = True
+    gives_labels: bool = False
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """With the scale."""
+        return f"measure-{self.params.scales_m[self.index]:g}"
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+        """Histogram of the core's ground points that are not in the even TIN."""
+        if not _goes_on(state):
+            return Measured({})
+        x, y, z = points.columns()
+        labels = points.known_labels()
+        ground = _is_ground(labels)
+        even = EvenTin(x, y, z, ground, self.params.scales_m[self.index], window, scale)
+        own = core.has(x, y)
+        counts = even.histogram(x, y, z, own & even.left_out)
+        bins = np.flatnonzero(counts)
+        partial = {
+            "joined": int(np.count_nonzero(own & (labels == JOINED))),
+            "ground": int(np.count_nonzero(own & ground)),
+            "bins": [[int(i), int(counts.flat[i])] for i in bins],
+        }
+        return Measured(partial, {"vertices": even.vertices, "left_out": int(counts.sum())})
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """``scales``: a list of thresholds and figures, one more for each scale; ``stopped``: the reason, or None."""
+        if not _goes_on(state):
+            return dict(state)
+        joined = ground = 0
+        counts = np.zeros(BINS.distances * BINS.angles, np.int64)
+        for part in partials:
+            joined, ground = joined + part["joined"], ground + part["ground"]
+            for i, n in part["bins"]:
+                counts[i] += n
+        return self._decided(counts.reshape(BINS.distances, BINS.angles), joined, ground, state)
+
+    def _decided(self, counts: Any, joined: int, ground: int, state: State) -> dict[str, Any]:
+        scale_m, before = self.params.scales_m[self.index], list(state.get("scales", []))
+        lines = []
+        if before:
+            before[-1] = {**before[-1], "joined": joined}
+            lines.append(f"{joined} points joined at the scale of {before[-1]['scale_m']:g} m")
+            if joined < self.params.min_joined:
+                why = f"fewer than {self.params.min_joined}"
+                return with_notes(
+                    state, {"scales": before, "stopped": why}, f"{lines[0]}, {why}: stage two ends"
+                )
+        else:
+            density = ground / (state["cells"] * roughness.PATCH_M**2)
+            short = "; nothing more passed" if density <= state["threshold_m2"] else ""
+            lines.append(f"stage one ended with {density:.3g} points/m2 in the TIN{short}")
+        reach = contour_reach(counts, max(self.params.contour_share * float(counts.max()), 1e-9))
+        if reach is None:
+            lines.append(f"no ground is left out of the TIN at the scale of {scale_m:g} m: stage two ends")
+            return with_notes(state, {"stopped": "no ground left out of the TIN"}, *lines)
+        found = {
+            "scale_m": scale_m, "distance_m": round(reach[0] * DISTANCE_BIN_M, 6),
+            "angle_deg": round(reach[1] * ANGLE_BIN_DEG, 6), "left_out": int(counts.sum()),
+        }  # fmt: skip
+        lines.append(f"scale {scale_m:g} m: {found['distance_m']:.3f} m, {found['angle_deg']:.1f} degrees")
+        if before and found["angle_deg"] <= before[-1]["angle_deg"]:
+            lines.append(f"warning: the angle does not grow at the scale of {scale_m:g} m; the paper's does")
+        if before and found["distance_m"] >= before[-1]["distance_m"]:
+            lines.append(
+                f"warning: the distance does not shrink at the scale of {scale_m:g} m; the paper's does"
+            )
+        return with_notes(state, {"scales": [*before, found]}, *lines)
+
+
+@dataclass(frozen=True)
+class JoinPass(Pass):
+    """Step 4, the points that join at scale number `index`."""
+
+    params: Dong2018Parameters
+    index: int
+    last: bool
+    columns: tuple[str, ...] = ("labels",)
+    every_point: bool = True
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """With the scale."""
+        return f"join-{self.params.scales_m[self.index]:g}"
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> JoinModel:
+        """Build the even TIN again."""
+        if not _goes_on(state):
+            return JoinModel(None, 0.0, 0.0, True)
+        x, y, z = points.columns()
+        ground = _is_ground(points.known_labels())
+        even = EvenTin(x, y, z, ground, self.params.scales_m[self.index], window, scale)
+        found = state["scales"][-1]
+        return JoinModel(even, found["distance_m"], found["angle_deg"], self.last)
+
+
+class JoinModel(Model):
+    """A window's even TIN and the thresholds; without a TIN labels stay as they are."""
+
+    def __init__(self, even: EvenTin | None, distance_m: float, angle_deg: float, last: bool) -> None:
+        self._even, self._distance_m, self._angle_deg = even, distance_m, angle_deg
+        self._label = GROUND if last else JOINED
+        self.stats = {} if even is None else {"vertices": even.vertices}
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """What joined before is ground; what joins now is `JOINED`, or ground after the last scale."""
+        before = points.known_labels()
+        labels = np.where(before == JOINED, np.uint8(GROUND), before)
+        if self._even is None:
+            return labels, np.zeros(len(points), np.bool_)
+        x, y, z = points.columns()
+        waiting = before == UNCLASSIFIED
+        passed, marked = self._even.near(x, y, z, waiting, self._distance_m, self._angle_deg)
+        labels[passed] = self._label
+        return labels, marked
+
+
+def _goes_on(state: State) -> bool:
+    return bool(state["dense"]) and state.get("stopped") is None
+
+
+def _is_ground(labels: UInt8) -> Bool:
+    ground: Bool = (labels == GROUND) | (labels == JOINED)
+    return ground

@@ -1,0 +1,76 @@
+"""``ridge2016``: progressive TIN densification for steep mountains beside settlements.
+
+Remote Sensing 8(1):71 (2016); file 003. What is not in the table is `classic`'s, with its defaults and reasons.
+
+====================  =============================  ========  =======================================================
+parameter             paper's name and value         default   reason
+====================  =============================  ========  =======================================================
+max_building_size     grid cell size w: 20           20 m      the paper's value. "Half of the classic's" would be 10:
+                                                               more ridges, but type II doubles (``ptd/DESIGN.md``)
+terrain_angle         maximum terrain angle t: 88    88 deg    the paper's value
+iteration_angle       maximum angle theta: 6         25 deg    `classic`'s: 6 loses the ground of sparse clouds
+iteration_distance    maximum distance d: 1.4        1.4 m     the paper's value
+edge_length_stop      minimum edge length l: 1       1 m       the paper's value
+ridge_side            m_r: 1.5                       1.5       the paper's value
+ridge_angle           theta_r: 25                    25 deg    the paper's value
+ridge_radius          "within a radius of 2 m"       2 m       the paper's value
+seed_confidence       1 - alpha: 98 %                0.98      the paper's value
+seed_residual         none                           0 (off)   the test alone decides, as in the paper
+thin_cell             m: "the resolution of the      1 m       the DTM's default resolution
+                      final acquired DTM"
+growth                p_min: 0.001                   0.001     the paper's value
+rounds                none                           12        a bound for the halo: few runs need as many
+label_floor           none                           0.3 m     `classic`'s; 0 is the paper's rule
+====================  =============================  ========  =======================================================
+
+Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ridges`); seed refinement (2.2, equations 2-10,
+`conicoid`); densification (2.3, equations 11 and 12, `thinned_densification`).
+
+Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both are figures of the run,
+which no tile knows. So a first pass runs all rounds and counts in each the points of its tile's core that join the
+class; their sums tell which round is the last. Its labels say in which round a point became a vertex; as a vertex
+gives way to a lower one of its cell alone, and for good, they tell the second pass the TIN of that last round. So no
+tile ends earlier than its neighbour. A tile that is not certain of its count is done again with a wider halo; what
+stays uncertain is summed as well, and if it could move the last round a note says so.
+
+Deviations: seeds are judged against one TIN and dropped together, since one after the other depends on their order;
+virtual seeds around the data (`ptd.ground.seeds`) neither make ridges nor take part in fits; growth is what joins the
+class, not less what leaves it (beside new vertices the facet test gets stricter: in the second round the class often
+shrinks while the TIN climbs on), and the class is that of the last pass, with its floor; low outliers are taken out
+first (of the paper's data nothing is said).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ptd.methods.ridge2016.params import Ridge2016Parameters
+from ptd.methods.ridge2016.passes import GrowthPass, RidgePass, TerrainPass
+from ptd.passes import Method, Pass
+
+
+@dataclass(frozen=True)
+class Ridge2016(Ridge2016Parameters):
+    """Parameters of `ridge2016` (see the module's table), and what follows from them for a run."""
+
+    @property
+    def passes(self) -> tuple[Pass, ...]:
+        """Where the growth ends the rounds it is counted first."""
+        return (GrowthPass(self), TerrainPass(self)) if self.growth else (RidgePass(self),)
+
+    @property
+    def halo_m(self) -> float:
+        """Seven seed cells for what decides on ridges and seeds, 30 m for the rounds: measured on a city's edge."""
+        return 7.0 * self.max_building_size_m + 30.0
+
+    @property
+    def candidate_cell_m(self) -> float:
+        """Every point is a candidate: that is what the paper's densification is for."""
+        return 0.0
+
+
+METHOD = Method(
+    "ridge2016",
+    "densification with ridge points and tested seeds, for steep mountains beside settlements",
+    Ridge2016,
+)

@@ -1,0 +1,224 @@
+"""The passes of `ridge2016`: growth and terrain, or both in one where no growth is watched."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import islice, pairwise
+from typing import Any
+
+import numpy as np
+
+from ptd.cells import lowest_per_cell
+from ptd.frame import Cells, Scale, Window
+from ptd.ground.certificates import Doubt
+from ptd.ground.distance_angle import Bool
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain, unlabelled
+from ptd.ground.seeds import RING, box_with_ring, choose_seeds
+from ptd.methods.ridge2016.params import Ridge2016Parameters
+from ptd.methods.ridge2016.seeds import Prepared
+from ptd.methods.ridge2016.sorted_cells import places_in_stacks
+from ptd.methods.ridge2016.thinned_densification import Tally
+from ptd.passes import Model, Pass, Points, State, UInt8, noted
+from ptd.tin.mesh import Tin
+
+SEED = 8
+"""Label between the passes: a vertex from the first TIN on; ``SEED + k`` from TIN number k on. Else ASPRS classes."""
+
+TERRAIN_HALO_CELLS = 4.0
+"""Seed cells around a tile that the circles of the last TIN seldom leave: those of its ring reach less than three."""
+
+
+@dataclass(frozen=True)
+class GrowthPass(Pass):
+    """All rounds: what joins the terrain class in each, in `reduce` the round that is the last, and all vertices."""
+
+    params: Ridge2016Parameters
+    name: str = "growth"
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GrowthModel:
+        """Densify as long as any run would."""
+        return GrowthModel(self.params, points, window, core, scale)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """State with ``ridge2016``: ``rounds`` to run; ``points``, ``gained`` and ``unsure`` of the run."""
+        points, gained, unsure = 0, [0] * self.params.rounds, [0] * self.params.rounds
+        for part in partials:
+            points += part["points"]
+            gained = [a + b for a, b in zip(gained, part["gained"], strict=True)]
+            unsure = [a + b for a, b in zip(unsure, part["unsure"], strict=True)]
+        last, note = last_round(points, gained, unsure, self.params.growth)
+        found = {"rounds": last, "points": points, "gained": gained[:last], "unsure": unsure[:last]}
+        return {**state, "ridge2016": found, "notes": noted(state, note)}
+
+
+def most_gained(points: int, growth: float) -> Fraction:
+    """Points that may join in the last round: p_min of equation 11 times all, exactly."""
+    return Fraction(repr(float(growth))) * points
+
+
+def last_round(points: int, gained: list[int], unsure: list[int], growth: float) -> tuple[int, str]:
+    """The round in which at most a share of all points joined the terrain class, and what to tell of it.
+
+    Parameters
+    ----------
+    points : int
+    gained : list of int
+        Points that joined it in each round.
+    unsure : list of int
+        Points whose label is not certain after each round, as they lie near a tile's edge.
+    growth : float
+        p_min of equation 11.
+    """
+    limit = most_gained(points, growth)
+    last = next((k for k, n in enumerate(gained, 1) if n <= limit), len(gained))
+    share = 100 * gained[last - 1] / max(points, 1)
+    note = f"densification ends after {last} rounds, the last of which added {share:.2f} % of all points to the terrain"
+    if gained[last - 1] > limit:
+        note += f": still more than {100 * growth:g} %, but no more rounds were wanted"
+    slack = [before + after for before, after in pairwise([0, *unsure[:last]])]
+    if any((n - s <= limit) != (n + s <= limit) for n, s in zip(gained[:last], slack, strict=True)):
+        note += "; points near tile edges could change that: a wider halo makes it certain"
+    return last, note
+
+
+class GrowthModel(Model):
+    """What joins the terrain class of a window's core, round by round, and the vertices of each round."""
+
+    def __init__(
+        self, params: Ridge2016Parameters, points: Points, window: Window, core: Window, scale: Scale
+    ) -> None:
+        self.stats: dict[str, Any] = {"points": len(points), "rounds": 0}
+        self._points = int(core.has(points.xyz[0], points.xyz[1]).sum())
+        self._gained, self._unsure = np.zeros(params.rounds, np.int64), np.zeros(params.rounds, np.int64)
+        self._prepared: Prepared | None = None
+        self._closed = window.closed
+        if len(points):
+            self._prepared = Prepared(params, points.columns(), window, scale)
+            # A window that is the whole run sees its last round itself. More are run, for `--statistics` of another
+            # run may want them, but nothing is counted any more.
+            alone = not window.closed and self._points == len(points)
+            enough = int(most_gained(self._points, params.growth)) if alone else -1
+            self._codes = np.full(self._prepared.stacks.x.size, UNCLASSIFIED, np.uint8)
+            self.stats.update(self._prepared.counts, rounds=self._count(self._prepared, core, enough))
+
+    def _count(self, prepared: Prepared, core: Window, enough: int) -> int:
+        s = prepared.stacks
+        own = core.has(s.x, s.y)
+        seed = np.zeros(own.size, np.bool_)
+        seed[prepared.seeds] = True
+        tally = Tally(s.x[own], s.y[own], s.z[own], prepared.limits, prepared.floor, seed[own])
+        done = 0
+        for k, step in enumerate(islice(prepared.rounds(), self._gained.size)):
+            self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
+            if k == 0 or self._gained[k - 1] > enough:
+                # Rounds that are not run would add nothing, and change nothing of what is not certain.
+                self._gained[k], self._unsure[k:] = tally.count(step.tin, step.in_doubt)
+            done = k + 1
+        return done
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """The round in which a point became a vertex; low noise; all else is unclassified. All in doubt is marked."""
+        if self._prepared is None:
+            return unlabelled(points, self._closed)
+        s, (x, y, z) = self._prepared.stacks, points.columns()
+        place = places_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
+        labels = np.where(place >= 0, self._codes[place], np.uint8(UNCLASSIFIED))
+        labels[self._prepared.low.holds(x, y, z)] = LOW_NOISE
+        return labels, self._prepared.doubt.covers(x, y)
+
+    def partial(self) -> dict[str, Any]:
+        """``points`` of the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
+        return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._unsure.tolist()}
+
+    def uncertain(self) -> int:
+        """Points whose label is not certain after some round."""
+        return int(self._unsure.max(initial=0))
+
+
+@dataclass(frozen=True)
+class TerrainPass(Pass):
+    """The TIN of the last round, and the labels of all points."""
+
+    params: Ridge2016Parameters
+    name: str = "ridge2016"
+    columns: tuple[str, ...] = ("labels",)
+
+    @property
+    def halo_m(self) -> float:  # type: ignore[override]
+        """For circles alone: no round follows."""
+        return TERRAIN_HALO_CELLS * self.params.max_building_size_m
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TerrainModel:
+        """Build the TIN."""
+        return TerrainModel(self.params, points, window, scale, state["ridge2016"]["rounds"])
+
+
+class TerrainModel(Model):
+    """A window's TIN of a round."""
+
+    def __init__(
+        self, params: Ridge2016Parameters, points: Points, window: Window, scale: Scale, rounds: int
+    ) -> None:
+        self._closed = window.closed
+        self.stats: dict[str, Any] = {"points": len(points), "rounds": rounds, "vertices": 0}
+        self._terrain: Terrain | None = None
+        labels = points.known_labels()
+        x, y, z = points.take(labels != LOW_NOISE).columns()
+        if not x.size:
+            return
+        thin, cells = (Cells.of(size, scale) for size in (params.thin_cell_m, params.max_building_size_m))
+        known = window.inside(thin)
+        doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+        virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, doubt).virtual
+        vertices = points.take((labels >= SEED) & (labels < SEED + rounds)).columns()
+        if rounds > 1:  # of the seeds all are vertices, however near
+            lowest = lowest_per_cell(*vertices, thin)
+            vertices = vertices[0][lowest], vertices[1][lowest], vertices[2][lowest]
+        tin = Tin.build(*(np.concatenate([c, v]) for c, v in zip(vertices, virtual.T, strict=True)))
+        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        none = np.zeros(0, np.int32)
+        low = LowNoise(none, none, none, thin)
+        self._terrain = Terrain(tin, in_doubt, low, params.limits(scale), scale.counts(params.label_floor_m))
+        self.stats.update(vertices=tin.n_vertices)
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Labels and marks of points of the window; what was low noise stays so unless it is ground."""
+        found = unlabelled(points, self._closed) if self._terrain is None else self._terrain.label(points)
+        labels, marked = found
+        labels[(labels != GROUND) & (points.known_labels() == LOW_NOISE)] = LOW_NOISE
+        return labels, marked
+
+
+@dataclass(frozen=True)
+class RidgePass(Pass):
+    """Outliers, seeds, ridge points, seed refinement, densification, labels: all rounds that are wanted."""
+
+    params: Ridge2016Parameters
+    name: str = "ridge2016"
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> RidgeModel:
+        """Densify by all rounds."""
+        return RidgeModel(self.params, points, window, scale)
+
+
+class RidgeModel(Model):
+    """A window's finished TIN."""
+
+    def __init__(self, params: Ridge2016Parameters, points: Points, window: Window, scale: Scale) -> None:
+        self.stats: dict[str, Any] = {"points": len(points), "rounds": 0}
+        self._closed = window.closed
+        self.terrain: Terrain | None = None
+        if not len(points):
+            return
+        prepared = Prepared(params, points.columns(), window, scale)
+        for done, (tin, in_doubt, _) in enumerate(islice(prepared.rounds(), params.rounds), 1):
+            self.terrain = Terrain(tin, in_doubt, prepared.low, prepared.limits, prepared.floor)
+            self.stats.update(prepared.counts, rounds=done, vertices=tin.n_vertices)
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Labels and marks of points of the window."""
+        if self.terrain is None:
+            return unlabelled(points, self._closed)
+        return self.terrain.label(points)

@@ -1,0 +1,234 @@
+"""Ridge points: additional seeds where the TIN of the seeds cuts off a ridge.
+
+Source: Remote Sensing 8(1):71 (2016), section 2.1. A cell's lowest point lies on a slope, never on the ridge above it,
+so between the seeds of both slopes there are facets with long sides that their surroundings fall away from.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32
+from ptd.frame import Scale
+from ptd.ground.certificates import Doubt, UInt8
+from ptd.kernel import kernel, wide
+from ptd.methods.ridge2016.sorted_cells import Raster, Stacks, lowest_within
+from ptd.tin.interpolation import canonical_facet
+from ptd.tin.layout import Int32Array, is_ghost
+from ptd.tin.mesh import Tin
+
+Bool = npt.NDArray[np.bool_]
+AROUND = 9
+"""Facets around a facet at most: three beside it, and two more beside each of those."""
+
+
+class RidgeRule(NamedTuple):
+    """When a facet lies on a ridge, in horizontal counts.
+
+    Attributes
+    ----------
+    side : float
+        Some side has to be longer than this in x or in y: m_r w (equation 1).
+    cosine : float
+        Of theta_r, the smallest dihedral angle to the facets that fall away.
+    radius : float
+        Around the centre of gravity, where the lowest point is the ridge point.
+    z_ratio : float
+        Horizontal counts in one vertical count.
+    """
+
+    side: float
+    cosine: float
+    radius: float
+    z_ratio: float
+
+    @classmethod
+    def of(cls, scale: Scale, *, side_m: float, angle_deg: float, radius_m: float) -> Self:
+        """From metres and degrees."""
+        cosine = math.cos(math.radians(angle_deg))
+        return cls(scale.counts(side_m), cosine, scale.counts(radius_m), scale.z_ratio)
+
+
+@kernel
+def _normal(
+    vertices: Int32Array, triangles: Int32Array, t: int, z_ratio: float
+) -> tuple[float, float, float]:
+    """Upward normal of a real facet, of any length; the same bits whatever the facet's number or rotation."""
+    a, b, c = canonical_facet(vertices, triangles, t)
+    ax, ay, az = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
+    bx, by = float(vertices[4 * b] - ax), float(vertices[4 * b + 1] - ay)
+    cx, cy = float(vertices[4 * c] - ax), float(vertices[4 * c + 1] - ay)
+    bz, cz = (vertices[4 * b + 2] - az) * z_ratio, (vertices[4 * c + 2] - az) * z_ratio
+    return by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+
+
+@kernel
+def _has_long_side(vertices: Int32Array, triangles: Int32Array, t: int, side: float) -> bool:
+    """Whether max(|dx|, |dy|) of some side is above the limit (equation 1)."""
+    for j in range(3):
+        a = 4 * triangles[8 * t + 4 + j]
+        b = 4 * triangles[8 * t + 4 + (j + 1) % 3]
+        if max(abs(vertices[a] - vertices[b]), abs(vertices[a + 1] - vertices[b + 1])) > side:
+            return True
+    return False
+
+
+@kernel
+def _falls_away(
+    vertices: Int32Array, triangles: Int32Array, t: int, other: int, cosine: float, z_ratio: float
+) -> bool:
+    """Assumption 2, (i) and (ii): the angle between the planes is above the limit, `other`'s centre below t's plane."""
+    nx, ny, nz = _normal(vertices, triangles, t, z_ratio)
+    mx, my, mz = _normal(vertices, triangles, other, z_ratio)
+    dot = nx * mx + ny * my + nz * mz
+    lengths = math.sqrt((nx * nx + ny * ny + nz * nz) * (mx * mx + my * my + mz * mz))
+    if dot >= cosine * lengths:
+        return False
+    a = 4 * canonical_facet(vertices, triangles, t)[0]
+    i, j, k = 4 * triangles[8 * other + 4], 4 * triangles[8 * other + 5], 4 * triangles[8 * other + 6]
+    dx = np.int64(vertices[i]) + vertices[j] + vertices[k] - 3 * np.int64(vertices[a])
+    dy = np.int64(vertices[i + 1]) + vertices[j + 1] + vertices[k + 1] - 3 * np.int64(vertices[a + 1])
+    dz = np.int64(vertices[i + 2]) + vertices[j + 2] + vertices[k + 2] - 3 * np.int64(vertices[a + 2])
+    return nx * float(dx) + ny * float(dy) + nz * (float(dz) * z_ratio) < 0.0
+
+
+@kernel
+def _of_data(triangles: Int32Array, t: int, data: Bool) -> bool:
+    """Whether a real facet's corners are all points of the data."""
+    row = 8 * t + 4
+    return bool(data[triangles[row]] and data[triangles[row + 1]] and data[triangles[row + 2]])
+
+
+@kernel
+def _long_facet(vertices: Int32Array, triangles: Int32Array, t: int, data: Bool, side: float) -> bool:
+    """Assumption 1, for facets of the data."""
+    return _of_data(triangles, t, data) and _has_long_side(vertices, triangles, t, side)
+
+
+@kernel
+def _share_a_vertex(triangles: Int32Array, s: int, t: int) -> bool:
+    for i in range(8 * s + 4, 8 * s + 7):
+        for j in range(8 * t + 4, 8 * t + 7):
+            if triangles[i] == triangles[j]:
+                return True
+    return False
+
+
+@kernel
+def _around(triangles: Int32Array, t: int, found: Int32Array) -> int:
+    """Write the real facets beside t, and beside those, to `found`; some may come twice."""
+    n = 0
+    for j in range(3):
+        s = triangles[8 * t + j] >> 3
+        if is_ghost(triangles, s):
+            continue
+        found[n] = s
+        n += 1
+        for k in range(3):
+            u = triangles[8 * s + k] >> 3
+            if u != t and not is_ghost(triangles, u):
+                found[n] = u
+                n += 1
+    return n
+
+
+@kernel
+def ridge_facet(
+    vertices: Int32Array, triangles: Int32Array, t: int, data: Bool, rule: RidgeRule, found: Int32Array
+) -> bool:
+    """Whether a real facet lies on a ridge.
+
+    Parameters
+    ----------
+    vertices, triangles : int32 arrays, see `ptd.tin.layout`
+    t : int
+    data : bool [vertices]
+        Not a virtual seed. A facet with a virtual corner neither is a ridge nor makes one: its slope is made up.
+    rule : RidgeRule
+    found : int32 [AROUND]
+        Scratch.
+    """
+    if not _long_facet(vertices, triangles, t, data, rule.side):
+        return False
+    falling = 0
+    for k in range(_around(triangles, t, found)):
+        s = found[k]
+        if _of_data(triangles, s, data) and _falls_away(vertices, triangles, t, s, rule.cosine, rule.z_ratio):
+            found[falling] = s
+            falling += 1
+    for i in range(falling):  # (iii): two of them without a common point, so on different sides
+        for j in range(i):
+            if not _share_a_vertex(triangles, found[i], found[j]):
+                return True
+    return False
+
+
+@kernel
+def _ridge_points(
+    vertices: Int32Array, triangles: Int32Array, n: int, data: Bool, rule: RidgeRule, in_doubt: UInt8,
+    x: Int32, y: Int32, z: Int32, raster: Raster, west: int, south: int, east: int, north: int,
+    points: Int32, doubtful: Bool, chosen: Bool,
+) -> int:  # fmt: skip
+    """Write the point of each facet that is or may be a ridge; whether it is, and whether that is certain."""
+    found = np.empty(AROUND, np.int32)
+    m = 0
+    for t in range(n):
+        if is_ghost(triangles, t):
+            continue
+        if not _long_facet(vertices, triangles, t, data, rule.side):
+            continue  # where t itself is in doubt, so are the places near it
+        unsure = False
+        for k in range(_around(triangles, t, found)):
+            unsure = unsure or in_doubt[found[k]] != 0
+        ridge = ridge_facet(vertices, triangles, t, data, rule, found)
+        if not (ridge or unsure):
+            continue
+        x3, y3 = wide(0), wide(0)
+        for j in range(8 * t + 4, 8 * t + 7):
+            x3 += wide(vertices[4 * triangles[j]])
+            y3 += wide(vertices[4 * triangles[j] + 1])
+        i = lowest_within(x, y, z, raster, x3, y3, rule.radius)
+        if i < 0:
+            continue
+        cx, cy = x3 / 3.0, y3 / 3.0
+        inside = cx - rule.radius >= west and cx + rule.radius < east
+        inside = inside and cy - rule.radius >= south and cy + rule.radius < north
+        points[m], doubtful[m], chosen[m] = i, unsure or not inside, ridge
+        m += 1
+    return m
+
+
+def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: Doubt) -> Int32:
+    """Indices (int32, ascending, each once) of the lowest points near the centres of the facets on ridges.
+
+    Parameters
+    ----------
+    tin : Tin
+        Of the seeds.
+    data : bool [vertices]
+        Not a virtual seed.
+    stacks : Stacks
+        Points that may become seeds.
+    rule : RidgeRule
+    doubt : Doubt
+        Grows by the places where points outside the window could make or move a ridge point: within the radius of
+        facets in doubt, and the ridge points of facets near those.
+    """
+    n = tin.n_triangles
+    arrays = tin.vertex_array, tin.triangle_array
+    in_doubt = doubt.triangles(*arrays, n)
+    points, doubtful, chosen = np.empty(n, np.int32), np.empty(n, np.bool_), np.empty(n, np.bool_)
+    sides = doubt.known
+    m = _ridge_points(
+        *arrays, n, data, rule, in_doubt, stacks.x, stacks.y, stacks.z, stacks.raster,
+        sides.west, sides.south, sides.east, sides.north, points, doubtful, chosen,
+    )  # fmt: skip
+    points = points[:m]
+    doubt.add_triangles(*arrays, in_doubt, rule.radius)
+    doubt.add_points(stacks.x[points], stacks.y[points], doubtful[:m])
+    found: Int32 = np.unique(points[chosen[:m]])
+    return found

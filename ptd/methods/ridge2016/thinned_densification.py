@@ -1,0 +1,216 @@
+"""Densification in little memory: after each round only the lowest terrain point of a cell stays in the TIN.
+
+Source: Remote Sensing 8(1):71 (2016), section 2.3. All other points are tested again in each round, unlike in a
+cloud thinned beforehand, where the lowest point of a cell may be none of the terrain and hide one that is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, Int64
+from ptd.ground.certificates import Doubt, UInt8
+from ptd.ground.criteria import Limits, accepts
+from ptd.ground.labelling import is_terrain
+from ptd.kernel import kernel, wide
+from ptd.methods.ridge2016.sorted_cells import Stacks
+from ptd.tin.interpolation import canonical_facet
+from ptd.tin.layout import Int32Array, is_ghost
+from ptd.tin.location import locate
+from ptd.tin.mesh import Tin
+
+Bool = npt.NDArray[np.bool_]
+
+
+@kernel
+def _test_stacks(
+    vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: Int32, starts: Int64,
+    limits: Limits, in_doubt: UInt8, vertex: Bool, doubtful: Bool, kept: Bool,
+) -> None:  # fmt: skip
+    """One round: `kept` receives the lowest terrain point of each cell.
+
+    A cell is tested from its lowest point up until one belongs to the terrain for certain: what lies higher cannot
+    become the cell's vertex. What beyond the window may become it is added to `doubtful`: the points below that
+    one whose test is not certain, and where there are any, that one as well.
+    """
+    t = 0
+    for k in range(starts.size - 1):
+        lowest = -1
+        any_unsure = False
+        for i in range(starts[k], starts[k + 1]):
+            unsure = doubtful[i]
+            passed = vertex[i]
+            if not passed:
+                t = locate(vertices, triangles, x[i], y[i], t)
+                if is_ghost(triangles, t):
+                    unsure = unsure or in_doubt[t] != 0
+                else:
+                    passed, _, on_doubt = accepts(vertices, triangles, t, x[i], y[i], z[i], limits, in_doubt)
+                    unsure = unsure or on_doubt
+            if passed and lowest < 0:
+                lowest = i
+            if unsure:
+                doubtful[i] = any_unsure = True
+            elif passed:
+                doubtful[i] = any_unsure
+                break
+        if lowest >= 0:
+            kept[lowest] = True
+
+
+@kernel
+def _same_corners(
+    vertices: Int32Array,
+    triangles: Int32Array,
+    t: int,
+    others: Int32Array,
+    other_triangles: Int32Array,
+    u: int,
+) -> bool:
+    """Whether a triangle has the same corners, heights included, as one of another TIN; ghosts have not."""
+    if is_ghost(triangles, t) or is_ghost(other_triangles, u):
+        return False
+    mine, found = canonical_facet(vertices, triangles, t), canonical_facet(others, other_triangles, u)
+    for i in range(3):
+        for k in range(3):
+            if vertices[4 * mine[i] + k] != others[4 * found[i] + k]:
+                return False
+    return True
+
+
+@kernel
+def _tally(
+    before: Int32Array, before_triangles: Int32Array, vertices: Int32Array, triangles: Int32Array,
+    x: Int32, y: Int32, z: Int32, in_doubt: UInt8, limits: Limits, floor: float,
+    now: Int32, home: Int32, again: Bool, terrain: Bool,
+) -> tuple[int, int]:  # fmt: skip
+    """Label the points whose triangle changed; how many became terrain, and of how many the label is not certain.
+
+    Parameters
+    ----------
+    before, before_triangles
+        The TIN in which `home` lies.
+    now : int32 [triangles before]
+        -1; receives the number that a triangle has now, -2 for those found changed.
+    home : int32 [n]
+        Triangle of each point, -1 at first.
+    again : bool [n]
+        The label rests on other triangles as well.
+    """
+    n_gained = n_unsure = t = 0
+    for i in range(x.size):
+        h = wide(home[i])
+        if h >= 0 and not again[i] and now[h] == -1:
+            t = locate(vertices, triangles, x[i], y[i], t)
+            same = _same_corners(before, before_triangles, h, vertices, triangles, t)
+            now[h] = t if same else -2
+        if h >= 0 and not again[i] and now[h] >= 0:
+            t = wide(now[h])
+            unsure = in_doubt[t] != 0
+        else:
+            t = locate(vertices, triangles, x[i], y[i], t)
+            is_now, again[i], unsure = is_terrain(
+                vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
+            )
+            n_gained += is_now and not terrain[i]
+            terrain[i] = is_now
+        home[i] = t
+        n_unsure += unsure
+    return n_gained, n_unsure
+
+
+class Tally:
+    """Counts what joins the terrain class in one TIN after another; only what lies in changed triangles is labelled.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        Neighbours in the array near each other.
+    limits : Limits
+    floor : float
+        See `ptd.ground.labelling.label_points`, whose labels are counted.
+    terrain : bool [n]
+        The class before the first TIN: the seeds. Kept up to date.
+    """
+
+    def __init__(self, x: Int32, y: Int32, z: Int32, limits: Limits, floor: float, terrain: Bool) -> None:
+        self._points, self._limits, self._floor = (x, y, z), limits, floor
+        self._home = np.full(x.size, -1, np.int32)
+        self._again, self._terrain = np.zeros(x.size, np.bool_), terrain
+        self._tin: Tin | None = None
+
+    def count(self, tin: Tin, in_doubt: UInt8) -> tuple[int, int]:
+        """Points of the terrain class that were not in it before, and points of which the label is not certain."""
+        last = self._tin or tin
+        self._tin = tin
+        return _tally(
+            last.vertex_array, last.triangle_array, tin.vertex_array, tin.triangle_array, *self._points,
+            in_doubt, self._limits, self._floor,
+            np.full(last.n_triangles, -1, np.int32), self._home, self._again, self._terrain,
+        )  # fmt: skip
+
+
+class Round(NamedTuple):
+    """The TIN that points are tested against in a round.
+
+    Attributes
+    ----------
+    tin : Tin
+    in_doubt : uint8 [triangles]
+        See `ptd.ground.certificates.Doubt.triangles`.
+    vertex : bool [n]
+        Points of the stacks that are its vertices.
+    """
+
+    tin: Tin
+    in_doubt: UInt8
+    vertex: Bool
+
+
+def densify_thinned(
+    stacks: Stacks, seeds: Int32, virtual: Int32, limits: Limits, doubt: Doubt
+) -> Iterator[Round]:
+    """The TINs of round after round: of the seeds, then of the lowest terrain points per cell.
+
+    They end when the next would be the same here and beyond the window. A vertex stays until a lower point of its cell
+    becomes one, and never comes back: when points became vertices tells the vertices of each round.
+
+    Parameters
+    ----------
+    stacks : Stacks
+        All points that may become vertices, by the cells of which one stays.
+    seeds : int32 [m]
+        Indices into the stacks.
+    virtual : int32 [k, 3]
+        x, y, z of vertices that always stay.
+    limits : Limits
+        A point that passes is terrain; but for that the points of the terrain class are of no concern here.
+    doubt : Doubt
+        Grows by the points whose becoming a vertex points outside the window could change.
+
+    Yields
+    ------
+    Round
+    """
+    x, y, z = stacks.x, stacks.y, stacks.z
+    vertex = np.zeros(x.size, np.bool_)
+    vertex[seeds] = True
+    doubtful = np.zeros(x.size, np.bool_)
+    doubtful[seeds] = doubt.covers(x[seeds], y[seeds])
+    while True:
+        chosen = np.flatnonzero(vertex)
+        tin = Tin.build(*(np.concatenate([c[chosen], virtual[:, k]]) for k, c in enumerate((x, y, z))))
+        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        yield Round(tin, in_doubt, vertex)
+        kept = np.zeros(x.size, np.bool_)
+        _test_stacks(
+            tin.vertex_array, tin.triangle_array, x, y, z, stacks.starts, limits, in_doubt, vertex, doubtful, kept
+        )  # fmt: skip
+        spread = doubt.add_points(x, y, doubtful)
+        if not spread and np.array_equal(kept, vertex):
+            return
+        vertex = kept

@@ -1,0 +1,172 @@
+"""Rounds of densification against the naive way: Qhull, and every candidate tested in every round."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import Delaunay
+
+from ptd.frame import Scale, Window
+from ptd.ground.certificates import Doubt
+from ptd.ground.criteria import Limits
+from ptd.ground.densify import REFUSED, VERTEX, densify
+from ptd.tin.mesh import Tin
+
+EVERYTHING = Window.everything()
+CORNERS = np.array(
+    [[-50_000, -50_003, 0], [150_001, -50_000, 0], [-50_002, 150_000, 0], [150_000, 150_004, 0]]
+)
+
+
+def measures(corners: np.ndarray, p: np.ndarray) -> tuple[float, float, float, float]:
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    normal = normal / np.linalg.norm(normal) * np.sign(normal[2])
+    edges = corners[[1, 2, 0], :2] - corners[:, :2]
+    nearest = np.linalg.norm(corners - p, axis=1).min()
+    return abs(normal @ (p - corners[0])), nearest, normal[2] ** 2, np.hypot(*edges.T).max()
+
+
+def passes(points: np.ndarray, mesh: Delaunay, p: np.ndarray, limits: Limits) -> bool:
+    """One test, without any care for speed."""
+    corners = points[mesh.simplices[int(mesh.find_simplex(p[:2]))]]
+    distance, nearest, cos2, edge = measures(corners, p)
+    if edge < limits.stop_edge:
+        return False
+    if cos2 < limits.steep_cos2:
+        top = corners[corners[:, 2].argmax()]
+        p = np.array([*(2 * top[:2] - p[:2]), p[2]])
+        other = int(mesh.find_simplex(p[:2]))
+        if other < 0:
+            return False
+        distance, nearest, _, edge = measures(points[mesh.simplices[other]], p)
+    angle = limits.angle * min(1.0, edge / limits.reduce_edge if limits.reduce_edge else 1.0)
+    return bool(distance <= limits.distance and distance <= nearest * math.sin(angle))
+
+
+def naive(seeds: np.ndarray, candidates: np.ndarray, limits: Limits, rounds: int) -> np.ndarray:
+    """Which candidates become vertices."""
+    chosen = np.zeros(len(candidates), bool)
+    done = 0
+    while rounds == 0 or done < rounds:
+        done += 1
+        points = np.vstack([seeds, candidates[chosen]]).astype(float)
+        mesh = Delaunay(points[:, :2])
+        new = [
+            k for k in np.flatnonzero(~chosen) if passes(points, mesh, candidates[k].astype(float), limits)
+        ]
+        if not new:
+            break
+        chosen[new] = True
+    return chosen
+
+
+def run(
+    seeds: np.ndarray, candidates: np.ndarray, limits: Limits, rounds: int
+) -> tuple[np.ndarray, Tin, int]:
+    tin = Tin.build(*seeds.T, max_vertices=len(seeds) + len(candidates))
+    x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
+    state = np.zeros(x.size, np.uint8)
+    doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    doubtful, done = densify(tin, x, y, z, state, limits, rounds, doubt)
+    assert not doubtful.any()
+    return state == VERTEX, tin, done
+
+
+def scene(seed: int, n: int, rough: int) -> tuple[np.ndarray, np.ndarray]:
+    """Four corners, then candidates on rough hills."""
+    rng = np.random.default_rng(seed)
+    xy = rng.integers(0, 100_000, (n, 2))
+    z = 6000 * np.sin(xy[:, 0] / 17_000) + 3000 * (xy[:, 1] > 40_000) + rng.integers(0, rough, n)
+    points = np.column_stack([xy, z.astype(np.int64)])
+    return np.vstack([CORNERS, points[:5]]), points[5:]
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10**6), rough=st.sampled_from([50, 800, 4000]), rounds=st.sampled_from([0, 1, 2, 5]),
+    angle=st.sampled_from([8.0, 25.0, 50.0]), terrain=st.sampled_from([5.0, 20.0, 88.0]),
+    reduce=st.sampled_from([0.0, 15.0]), stop=st.sampled_from([0.0, 4.0]),
+)  # fmt: skip
+def test_the_vertices_are_those_of_the_naive_way(
+    seed: int, rough: int, rounds: int, angle: float, terrain: float, reduce: float, stop: float
+) -> None:
+    seeds, candidates = scene(seed, 120, rough)
+    limits = Limits.of(
+        Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=terrain, reduce_m=reduce, stop_m=stop
+    )
+    got, tin, _ = run(seeds, candidates, limits, rounds)
+    assert np.array_equal(got, naive(seeds, candidates, limits, rounds))
+    assert tin.n_vertices == len(seeds) + got.sum()
+
+
+LIMITS = Limits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=20.0)
+
+
+def test_stamps_skip_no_test() -> None:
+    """A second run on the TIN of the first starts by testing everything: nothing more passes."""
+    rng = np.random.default_rng(3)
+    for step in (1, 500):
+        seeds, candidates = scene(7, 3000, 900)
+        candidates = np.unique(candidates // step * step, axis=0)
+        rng.shuffle(candidates)
+        got, tin, done = run(seeds, candidates, LIMITS, 0)
+        assert done > 5
+        assert 100 < got.sum() < len(candidates)
+        more, _, again = run(np.vstack([seeds, candidates[got]]), candidates[~got], LIMITS, 0)
+        assert not more.any()
+        assert again == 1
+
+
+@pytest.mark.parametrize("step", [1, 500, 2000])
+def test_the_order_of_the_candidates_changes_nothing(step: int) -> None:
+    seeds, candidates = scene(11, 800, 900)
+    candidates = candidates // step * step
+    order = np.random.default_rng(0).permutation(len(candidates))
+    one, tin, _ = run(seeds, candidates, LIMITS, 4)
+    other, shuffled, _ = run(seeds, candidates[order], LIMITS, 4)
+    assert np.array_equal(one[order], other)
+    assert np.array_equal(tin.vertices[tin.facets()], shuffled.vertices[shuffled.facets()])
+
+
+def test_refused_candidates_stay_out() -> None:
+    seeds, candidates = scene(2, 50, 50)
+    tin = Tin.build(*seeds.T, max_vertices=100)
+    x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
+    state = np.full(x.size, REFUSED, np.uint8)
+    doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    assert densify(tin, x, y, z, state, LIMITS, 0, doubt)[1] == 1
+    assert tin.n_vertices == len(seeds)
+    assert (state == REFUSED).all()
+
+
+def test_asked_to_stop_it_stops_after_the_round() -> None:
+    seeds, candidates = scene(7, 500, 900)
+    tin = Tin.build(*seeds.T, max_vertices=600)
+    x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
+    state = np.zeros(x.size, np.uint8)
+    doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    assert densify(tin, x, y, z, state, LIMITS, 0, doubt, stop=lambda: True)[1] == 1
+    assert np.array_equal(state == VERTEX, naive(seeds, candidates, LIMITS, 1))
+
+
+class Spreading(Doubt):
+    """Says three times that doubt has spread."""
+
+    left = 3
+
+    def add_points(self, x: np.ndarray, y: np.ndarray, which: np.ndarray) -> bool:
+        self.left -= 1
+        return self.left >= 0
+
+
+@pytest.mark.parametrize(("rounds", "done"), [(0, 4), (2, 2)])
+def test_while_doubt_spreads_there_are_rounds_though_nothing_passes(rounds: int, done: int) -> None:
+    seeds, _ = scene(2, 50, 50)
+    tin = Tin.build(*seeds.T, max_vertices=100)
+    x, y, z = (np.array([v], np.int32) for v in (50_000, 50_000, 90_000))
+    doubt = Spreading(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    assert densify(tin, x, y, z, np.zeros(1, np.uint8), LIMITS, rounds, doubt)[1] == done

@@ -1,0 +1,123 @@
+"""The last pass by hand, and low noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ptd.frame import Cells, Scale
+from ptd.ground.criteria import Limits
+from ptd.ground.labelling import LowNoise, label_points
+from ptd.tin.locator import Locator
+from ptd.tin.mesh import Tin
+
+LIMITS = Limits.of(Scale(), distance_m=1.4, angle_deg=6.0, terrain_deg=88.0)
+FLOOR = 300.0
+
+
+def flat() -> Tin:
+    """Level ground of 100 m, a vertex each 10 m, one of them a metre up."""
+    x, y = np.meshgrid(np.arange(0, 100_001, 10_000), np.arange(0, 100_001, 10_000))
+    z = np.where((x == 50_000) & (y == 50_000), 1000, 0)
+    return Tin.build(x.ravel(), y.ravel(), z.ravel())
+
+
+def label(
+    tin: Tin, points: list[tuple[int, int, int]], doubt: bool = False, **options: float
+) -> tuple[list[int], list[bool]]:
+    x, y, z = np.ascontiguousarray(np.array(points, np.int32).reshape(-1, 3).T)
+    in_doubt = np.full(tin.n_triangles, doubt, np.uint8)
+    floor = 0.0 if options.get("vertices_only") else FLOOR
+    labels, marked = label_points(tin, Locator.of(tin), x, y, z, in_doubt, LIMITS, floor, **options)
+    return labels.tolist(), marked.tolist()
+
+
+@pytest.mark.parametrize(
+    ("point", "ground"),
+    [
+        ((15_000, 12_000, 200), True),  # below the floor
+        ((15_000, 12_000, -300), True),
+        ((15_000, 12_000, 520), True),  # above it: 5.5 degrees to the nearest corner, 5.4 m away
+        ((15_000, 12_000, 580), False),  # 6.1 degrees
+        ((10_100, 10_100, 300), True),  # near a vertex at a steep angle: the floor
+        ((10_100, 10_100, 301), False),
+        ((10_000, 10_000, 300), True),  # above a vertex
+        ((10_000, 10_000, -300), True),
+        ((10_000, 10_000, 301), False),
+        ((10_000, 10_000, -301), False),
+        ((50_000, 50_000, 1000), True),
+        ((50_000, 50_000, 0), False),
+        ((-5, 50_000, 0), False),  # outside the hull
+        ((0, 50_000, 0), True),  # on it
+    ],
+)
+def test_by_hand(point: tuple[int, int, int], ground: bool) -> None:
+    assert label(flat(), [point]) == ([2 if ground else 1], [False])
+
+
+def test_without_a_last_pass_only_vertices_are_ground() -> None:
+    points = [(10_000, 10_000, 0), (10_000, 10_000, 1), (15_000, 12_000, 0), (50_000, 50_000, 1000)]
+    assert label(flat(), points, vertices_only=True) == ([2, 1, 1, 2], [False] * 4)
+
+
+def test_what_rests_on_a_triangle_in_doubt_is_marked() -> None:
+    points = [(10_000, 10_000, 0), (15_000, 12_000, 0), (15_000, 12_000, 9_000), (-5, 50_000, 0)]
+    assert label(flat(), points, doubt=True) == ([2, 2, 1, 1], [True] * 4)
+
+
+def test_on_an_edge_the_triangle_behind_it_counts() -> None:
+    tin = flat()
+    x, y, z = (np.array([v], np.int32) for v in (15_000, 20_000, 0))
+    home = tin.locate(15_000, 20_000)
+    beside = {tin.locate(15_000, 20_001), tin.locate(15_000, 19_999)} - {home}
+    for t in range(tin.n_triangles):
+        in_doubt = (np.arange(tin.n_triangles) == t).astype(np.uint8)
+        _, marked = label_points(tin, Locator.of(tin), x, y, z, in_doubt, LIMITS, FLOOR)
+        assert marked[0] == (t == home or t in beside)
+
+
+def test_pieces_and_order_change_nothing() -> None:
+    rng = np.random.default_rng(6)
+    points = rng.integers(-20_000, 120_000, (2000, 3))
+    points[:, 2] = rng.integers(-900, 900, 2000)
+    tin = flat()
+    whole, _ = label(tin, points.tolist())
+    order = rng.permutation(2000)
+    pieces = [label(tin, points[part].tolist())[0] for part in np.array_split(order, 7)]
+    assert np.array_equal(np.array(whole)[order], np.concatenate(pieces))
+    assert 1 < len(set(whole)) < 3
+
+
+def test_no_points_no_labels() -> None:
+    assert label(flat(), []) == ([], [])
+
+
+def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
+    def columns(*points: tuple[int, int, int]) -> list[np.ndarray]:
+        return list(np.array(points, np.int32).reshape(-1, 3).T)
+
+    cells = Cells.of(1.0, Scale(origin=(-250, 7000)))
+    low = LowNoise(*columns((300, 0, -100), (-800, 5000, 7), (1249, 999, -80)), cells)
+    points = columns(
+        (250, 0, -80), (1249, 999, -79), (700, 500, -900), (-1750, 5999, 7), (-751, 5000, 8), (249, 0, -900),
+        (300, -1, -900), (1250, 0, -900),
+    )  # fmt: skip
+    assert low.holds(*points).tolist() == [True, False, True, True, False, False, False, False]
+    assert not LowNoise(*columns(), cells).holds(*points).any()
+
+
+@pytest.mark.parametrize(("height", "ground"), [(300, True), (301, False), (-300, True), (-301, False)])
+def test_heights_only_neither_angle_nor_iteration_distance_counts(height: int, ground: bool) -> None:
+    """On a slope of 3 in 4 a height of 300 is 240 from the facet; 400 would be within the angle far from corners."""
+    slope = Tin.build([0, 40_000, 0, 40_000], [0, 0, 40_000, 40_000], [0, 30_000, 0, 30_000])
+    assert label(slope, [(20_000, 13_000, 15_000 + height)], per_slope=0.0)[0] == [2 if ground else 1]
+    assert label(slope, [(20_000, 13_000, 15_400)])[0] == [2]
+
+
+def test_what_is_allowed_in_height_grows_with_the_slope() -> None:
+    """On a slope of 3 in 4 the floor of 300 and 400 per slope make 600."""
+    slope = Tin.build([0, 40_000, 0, 40_000], [0, 0, 40_000, 40_000], [0, 30_000, 0, 30_000])
+    heights = [15_599, 15_601, 14_401, 14_399]
+    points = [(20_000, 13_000, z) for z in heights]
+    assert label(slope, points, per_slope=400.0)[0] == [2, 1, 2, 1]
+    assert label(slope, [(0, 0, 300), (0, 0, 301)], per_slope=400.0)[0] == [2, 1]  # a vertex has no slope

@@ -1,0 +1,145 @@
+"""Seeds: lowest points of cells, virtual points around them, and cells in doubt."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ptd.frame import OPEN, Cells, Scale, Window
+from ptd.ground.certificates import Doubt
+from ptd.ground.seeds import RING, Seeds, box_with_ring, choose_seeds
+
+SIDE = 20_000
+Point = tuple[int, int, int]
+
+
+def choose(
+    points: list[Point],
+    known: Window | None = None,
+    eligible: list[bool] | None = None,
+    scale: Scale | None = None,
+    unsure: list[bool] | None = None,
+) -> tuple[Seeds, Doubt]:
+    scale = scale or Scale()
+    x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)
+    cells = Cells.of(SIDE / 1000, scale)
+    known = known or Window.everything()
+    doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    mask = np.ones(x.size, np.bool_) if eligible is None else np.array(eligible)
+    which = None if unsure is None else np.array(unsure)
+    return choose_seeds(x, y, z, mask, cells, doubt, which), doubt
+
+
+def cells_of(seeds: Seeds) -> dict[tuple[int, int], int]:
+    """Heights of the virtual seeds by column and row; they lie in the middle."""
+    assert ((seeds.virtual[:, :2] - SIDE // 2) % SIDE == 0).all()
+    return {(int(x) // SIDE, int(y) // SIDE): int(z) for x, y, z in seeds.virtual}
+
+
+def middle(column: int, row: int, z: int = 0) -> Point:
+    return column * SIDE + SIDE // 2 + 11, row * SIDE + SIDE // 2 - 7, z
+
+
+def test_the_lowest_eligible_point_of_each_cell() -> None:
+    points = [(100, 100, 5), (200, 100, 3), (300, 100, 1), (SIDE, 0, 9), (SIDE - 1, 0, 4)]
+    seeds, _ = choose(points, eligible=[True, True, False, True, True])
+    assert seeds.chosen.tolist() == [1, 3]
+
+
+def test_cells_are_anchored_at_coordinate_0() -> None:
+    points = [(0, 0, 5), (999, 0, 3), (1000, 0, 4)]
+    seeds, _ = choose(points, scale=Scale(origin=(SIDE - 1000, 0)))
+    assert seeds.chosen.tolist() == [1, 2]
+
+
+def test_one_cell_has_two_rings_of_its_height() -> None:
+    seeds, _ = choose([middle(0, 0, 70)])
+    ring = cells_of(seeds)
+    assert set(ring) == {(c, r) for c in range(-2, 3) for r in range(-2, 3)} - {(0, 0)}
+    assert set(ring.values()) == {70}
+
+
+def test_heights_of_the_ring_by_hand() -> None:
+    """Two cells side by side: what touches both takes the mean, then the next layer the mean of the first."""
+    ring = cells_of(choose([middle(0, 0, 100), middle(1, 0, 201)])[0])
+    assert len(ring) == 5 * 6 - 2
+    assert ring[-1, 0] == 100
+    assert ring[2, 1] == 201
+    assert ring[0, 1] == ring[1, -1] == 301 // 2
+    # Second layer, above the left cell: its neighbours in the first are (-1, 1): 100, (0, 1) and (1, 1): 150.
+    assert ring[0, 2] == (100 + 150 + 150) // 3
+    assert ring[-2, 2] == 100
+    assert ring[3, 0] == 201
+
+
+def test_a_hole_is_filled_from_all_sides() -> None:
+    around = [(c, r) for c in range(3) for r in range(3) if (c, r) != (1, 1)]
+    ring = cells_of(choose([middle(c, r, 10 * k) for k, (c, r) in enumerate(around)])[0])
+    assert ring[1, 1] == sum(10 * k for k in range(8)) // 8
+
+
+def test_the_order_of_the_points_changes_nothing() -> None:
+    rng = np.random.default_rng(9)
+    points = [tuple(int(v) for v in p) for p in rng.integers(-200_000, 200_000, (60, 3)) // 100]
+    points = [(100 * x, 100 * y, z) for x, y, z in points]
+    first, _ = choose(points)
+    order = rng.permutation(60)
+    second, _ = choose([points[k] for k in order])
+    assert {points[k] for k in first.chosen} == {points[order[k]] for k in second.chosen}
+    assert np.array_equal(first.virtual, second.virtual)
+
+
+def test_nothing_is_in_doubt_where_everything_is_known() -> None:
+    _, doubt = choose([middle(0, 0), middle(5, 3)])
+    assert not doubt.active
+    assert not doubt.mask.any()
+
+
+def in_doubt(doubt: Doubt, column: int, row: int) -> bool:
+    """Whether the middle of a cell is in doubt; no cell is so by half."""
+    x, y = column * SIDE - doubt.west, row * SIDE - doubt.south
+    step = SIDE // doubt.cell
+    block = doubt.mask[y // doubt.cell :, x // doubt.cell :][:step, :step]
+    assert block.all() or not block.any()
+    return bool(block.all())
+
+
+@pytest.mark.parametrize("cut", [0, 1, SIDE - 1])
+def test_cells_in_doubt_at_a_closed_side(cut: int) -> None:
+    """The west side cuts column 0 (or lies on its edge): filled cells are certain where all of them is known."""
+    row = [middle(c, 0, 10) for c in range(10) if c not in (2, 7)]
+    _, doubt = choose(row, Window(cut, -OPEN, OPEN, OPEN))
+    first = 0 if cut == 0 else 1
+    assert in_doubt(doubt, first - 1, 0)
+    for column in range(first, first + 8):
+        empty = column in (2, 7)
+        assert in_doubt(doubt, column, 0) == (empty and column < first + RING)
+        # Above the row all cells are empty: those near the side could get another height from a point beyond it.
+        assert in_doubt(doubt, column, 1) == (column < first + RING)
+        assert in_doubt(doubt, column, -2) == (column < first + RING)
+
+
+def test_cells_in_doubt_at_the_other_sides() -> None:
+    points = [middle(c, r, 10) for c in range(8) for r in range(8) if (c, r) != (6, 5)]
+    _, doubt = choose(points, Window(-OPEN, -OPEN, 8 * SIDE, 8 * SIDE - 1))
+    assert in_doubt(doubt, 6, 5)
+    assert in_doubt(doubt, 4, 7)
+    assert not in_doubt(doubt, 7, 6)
+    assert in_doubt(doubt, 8, 3)
+    assert not in_doubt(doubt, -1, 3)
+
+
+def test_cells_that_may_lose_their_seed_are_in_doubt_and_so_are_empty_ones_around_them() -> None:
+    """A row of cells: in column 4 it is not certain what is eligible; in column 5 neither, but another seed is sure."""
+    row = [middle(c, 0, 10) for c in range(12) if c != 7]
+    points = [*row, (5 * SIDE + 100, 100, 50)]
+    unsure = [x // SIDE == 4 or (x // SIDE == 5 and z == 10) for x, _, z in points]
+    far = Window(-900 * SIDE, -OPEN, OPEN, OPEN)
+    _, doubt = choose(points, far, unsure=unsure)
+    assert [column for column in range(12) if in_doubt(doubt, column, 0)] == [4, 7]
+    assert [column for column in range(12) if in_doubt(doubt, column, 1)] == [2, 3, 4, 5, 6, 7]
+
+
+def test_the_box_holds_three_cells_around_the_data() -> None:
+    x, y = np.array([0, 1], np.int32), np.array([SIDE, SIDE], np.int32)
+    assert box_with_ring(x, y, Cells.of(20.0, Scale())) == (-3 * SIDE, -2 * SIDE, 4 * SIDE, 5 * SIDE)

@@ -1,0 +1,289 @@
+"""`auto`: what it finds, what it decides, and that neither tiles nor the order of points show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+
+import ptd
+from ptd.frame import Window
+from ptd.ground.roughness import Roughness
+from ptd.methods.auto import objects
+from ptd.methods.auto.method import DENSIFIED, OBJECT, SEED, Auto, refined
+from ptd.methods.auto.settings import Seen, decided, settings
+from ptd.passes import Points
+from tests.ptd.ground.test_certificates import SCALE
+from tests.ptd.methods.auto.test_objects import lowest
+from tests.ptd.scenes import SCENES
+from tests.ptd.tiling import classify_tiled
+
+SMALL = Auto(
+    max_building_size_m=10.0, slope_reach_m=2.0, object_trend_m=5.0, object_size_m=6.0,
+    bump_trend_m=5.0, bump_size_m=6.0, residual_around_m=4.0,
+    low_radius_m=2.0, rounds=2, roof_size_m=20.0,
+)  # fmt: skip
+"""Rules that see less far, for scenes that are small."""
+
+
+def scene(n: int = 30_000) -> tuple[np.ndarray, np.ndarray]:
+    """A slope with two roofs, a bush, a wall and low noise: metres, and the true classes."""
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(0, 120, (2, n))
+    z = 0.15 * x + rng.normal(0, 0.03, n)
+    house = (abs(x - 40) < 8) & (abs(y - 40) < 12)
+    shed = (abs(x - 90) < 6) & (abs(y - 80) < 6)
+    bush = np.hypot(x - 30, y - 90) < 3
+    wall = (abs(x - 60) < 20) & (abs(y - 55) < 0.7)
+    z[house] = 6.0 + 0.15 * 48
+    z[shed] += 3.0
+    z[bush] += rng.uniform(1.0, 3.0, int(bush.sum()))
+    z[wall] += 1.2
+    x[:2], y[:2], z[:2] = 60.0, (60.0, 60.5), -9.0
+    truth = np.where(house | shed | bush | wall, 1, 2)
+    truth[:2] = 7
+    return np.stack([x, y, z], axis=1), truth
+
+
+def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
+    xyz, truth = scene()
+    result = ptd.classify(xyz, "auto")
+    found = result.classification
+    assert (found[truth == 1] == 2).mean() < 0.03
+    assert (found[truth == 2] == 2).mean() > 0.99
+    assert found[:2].tolist() == [7, 7]
+    assert result.stats["seeds"]["low_outliers"] == 1  # both in a cell
+    assert list(result.stats) == [
+        "survey",
+        "seeds",
+        "densify",
+        "refine",
+        "roofs",
+        "roofs2",
+        "roofs3",
+        "label",
+    ]
+
+
+@pytest.mark.parametrize(
+    "xyz",
+    [
+        np.zeros((0, 3)),
+        [[5.0, 5.0, 1.0]],
+        [[5.0, 5.0, 1.0], [8.0, 5.0, 1.0]],
+        [[5.0, 5.0, 1.0], [8.0, 5.0, 1.0], [5.0, 9.0, 1.0]],
+        [[float(i), 2.0 * i, 0.1 * i] for i in range(40)],
+        [[5.0, 5.0, 1.0]] * 20,
+    ],
+    ids=["none", "one", "two", "three", "line", "spot"],
+)
+def test_tiny_clouds_are_ground(xyz: Any) -> None:
+    assert (ptd.classify(xyz, "auto").classification == 2).all()
+
+
+def test_a_window_without_ground_knows_nothing() -> None:
+    """All points of a window may be objects' if what surrounds it is lower."""
+    window = Window(0, 0, 10_000, 10_000)
+    cloud = Points(np.full((3, 4), 500, np.int32), np.full(4, OBJECT, np.uint8))
+    state = {"survey": {"kind": "lidar", "density_m2": 1.0, "label_sigma_m": None}}
+    for number in (2, 5):
+        for given, marked in ((window, True), (Window.everything(), False)):
+            model = Auto().passes[number].fit(cloud, given, given, SCALE, state)
+            labels, marks = model.label(cloud)
+            assert (labels == OBJECT).all()
+            assert (marks == marked).all()
+
+
+def test_a_climbed_roof_is_given_back_but_no_seed() -> None:
+    heights = np.zeros((60, 60))
+    heights[20:30, 20:30] = 4.0
+    codes = np.full(heights.shape, SEED, np.uint8)
+    codes[20:30, 20:30] = DENSIFIED
+    codes[20:30, 20:22] = SEED
+    never = replace(Auto(), object_drop_m=100.0, bump_drop_m=100.0)
+    stays = refined(lowest(heights), codes.ravel(), never).reshape(heights.shape)
+    assert np.array_equal(stays, codes == SEED)
+
+
+def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through() -> None:
+    found = Roughness(8.0, 0.066, 50, 0.07)
+    run = {"rgb": False, "sigma_m": None, "kind": None}
+    survey, notes = decided(Auto(), found, Seen(1000, 0, 500, 4), run)
+    assert (survey["kind"], survey["cell_sigma_m"], survey["density_m2"]) == ("dim", 0.07, 8.0)
+    assert notes == [
+        "decided: image matching (no point is one of several returns, and nothing is seen through plants); "
+        "8 points/m2, noise 0.07 m",
+        "decided: ground is up to 0.2 m and the local noise from the surface, after a vote of neighbours",
+    ]
+    assert decided(Auto(), found, Seen(0, 0, 500, 4), run)[0]["kind"] == "dim"  # returns are not known
+    for several, through, why in (
+        (10, 0, "1 % of the points are one of several returns"),
+        (0, 5, "pulses passed through plants in 1 % of the area, though each point is a single return"),
+    ):
+        survey, notes = decided(Auto(), found, Seen(1000, several, 500, through), run)
+        assert survey["kind"] == "lidar"
+        assert notes[0].startswith(f"decided: laser scanning ({why})")
+    sparse, _ = decided(Auto(), Roughness(3.9, 0.066, 50, 0.07), Seen(0, 0, 500, 0), run)
+    assert sparse["kind"] == "lidar"
+
+
+@pytest.mark.parametrize("kind", ["dim", "lidar"])
+def test_what_the_user_says_of_the_source_is_obeyed(kind: str) -> None:
+    for seen in (Seen(1000, 500, 500, 100), Seen(1000, 0, 500, 0)):
+        run = {"rgb": True, "sigma_m": None, "kind": kind}
+        survey, notes = decided(Auto(), Roughness(8.0, 0.066, 50, 0.07), seen, run)
+        assert survey["kind"] == kind
+        assert "as --kind or the preset says" in notes[0]
+
+
+def test_the_noise_that_matched_clouds_start_from_has_limits_and_is_the_users_if_said() -> None:
+    for smoothest, said, taken in (
+        (0.01, None, 0.03),
+        (None, None, 0.03),
+        (0.5, None, 0.25),
+        (0.05, 0.12, 0.12),
+    ):
+        run = {"rgb": True, "sigma_m": said, "kind": "dim"}
+        survey, _ = decided(Auto(), Roughness(8.0, None, 0, smoothest), Seen(0, 0, 0, 0), run)
+        assert survey["cell_sigma_m"] == taken
+
+
+@pytest.mark.parametrize(
+    ("density", "sigma", "floor", "slope"),
+    [
+        (0.7, 0.02, 0.24, 1.0),
+        (1.5, 0.02, 0.18, 0.75),
+        (2.0, 0.02, 0.12, 0.5),
+        (9.0, 0.05, 0.2, 0.5),
+        (9.0, 0.2, 0.24, 0.5),
+        (9.0, None, 0.24, 0.5),
+    ],
+)
+def test_the_last_pass_is_narrower_where_points_are_dense(
+    density: float, sigma: float | None, floor: float, slope: float
+) -> None:
+    chosen = settings(Auto(), {"density_m2": density, "label_sigma_m": sigma})
+    assert (chosen.label_floor_m, chosen.label_slope_m) == pytest.approx((floor, slope))
+
+
+def test_what_a_laser_measures_beyond_its_noise_is_plants() -> None:
+    for sigma, taken in ((0.02, 0.02), (0.09, 0.03), (None, 0.03)):
+        survey, notes = decided(
+            Auto(), Roughness(8.0, sigma, 50), Seen(9, 9, 9, 0), {"sigma_m": None, "kind": "lidar"}
+        )
+        assert (survey["sigma_m"], survey["label_sigma_m"]) == (sigma, taken)
+        assert any("0.03 m is taken for a laser's noise" in note for note in notes) == (sigma != taken)
+    survey, _ = decided(Auto(), Roughness(8.0, 0.02, 50), Seen(9, 9, 9, 0), {"sigma_m": 0.1, "kind": "lidar"})
+    assert survey["label_sigma_m"] == 0.1
+
+
+def test_a_hall_wider_than_the_openings_is_no_ground() -> None:
+    """60 m x 50 m, 8 m tall, on land that a ramp of 30 m leads up to as high beside it."""
+    random = np.random.default_rng(3)
+    x, y = 160 * random.random((2, 60_000))
+    z = 0.02 * x
+    ramp = (x > 120) & (y < 40)
+    z[ramp] += np.clip((40 - y[ramp]) / 5, 0, 8)
+    hall = (abs(x - 70) < 30) & (abs(y - 90) < 25)
+    z[hall] = 9.4
+    found = ptd.classify(np.stack([x, y, z], axis=1), "auto").classification == 2
+    assert found[hall].mean() < 0.01
+    assert found[~hall].mean() > 0.97
+
+
+def test_the_decision_reaches_the_result() -> None:
+    xyz, _ = scene(4000)
+    result = ptd.classify(xyz, "auto", sigma=0.2, kind="dim")
+    statistics = result.decisions["statistics"]
+    assert (statistics["survey"]["kind"], statistics["survey"]["cell_sigma_m"]) == ("dim", 0.2)
+    assert len(statistics["notes"]) == 2
+    assert list(result.stats) == ["survey", "cells", "objects", "inner-objects", "surface"]
+
+
+def test_reaches_are_those_of_the_rules() -> None:
+    assert Auto().seed_reach == 2 * 18 + 2 * 9 + 5
+    assert Auto().refine_reach == 2 * 18 + 2 * 9 + 20 + 2 * 6 + 15 + 2 * 6
+    assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
+    assert {step.name: step.reach_m for step in Auto().passes} == {
+        "survey": 24.0, "seeds": 60.0, "densify": None, "refine": 114.0, "roofs": 229.0, "roofs2": 229.0,
+        "roofs3": 229.0, "label": None, "cells": 4.0, "objects": 320.0, "inner-objects": 320.0, "surface": 353.0,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(SCENES))
+def test_tiles_agree_with_the_whole_and_marks_fall_with_the_halo(name: str) -> None:
+    points = Points(SCENES[name](np.random.default_rng(11)))
+    truth, marks, state = classify_tiled(points, SCALE, SMALL, None, kind="lidar")
+    assert not marks.any()
+    shares = []
+    for halo in (40.0, 120.0):
+        labels, marks, tiled = classify_tiled(points, SCALE, SMALL, 70.0, halo, kind="lidar")
+        assert tiled == state
+        assert np.array_equal(labels[~marks], truth[~marks])
+        shares.append(marks.mean())
+    assert shares[0] >= shares[1]
+    assert shares[1] < 0.02
+
+
+@pytest.mark.parametrize("tile_m", [33.0, 50.0])
+@pytest.mark.parametrize("thin_cell_m", [0.7, 2.0])
+def test_a_fixed_reach_leaves_no_mark_and_no_difference(tile_m: float, thin_cell_m: float) -> None:
+    """Each raster pass on tiles: cells that nest neither in tiles nor in one another."""
+    cloud = SCENES["hills_with_houses"](np.random.default_rng(5))
+    params = replace(SMALL, thin_cell_m=thin_cell_m)
+
+    class Until:
+        align_m, margin_m, candidate_cell_m = params.align_m, params.margin_m, thin_cell_m
+        passes = params.passes[:2]
+
+    truth, _, state = classify_tiled(Points(cloud), SCALE, Until, None, kind="lidar")
+    labels, marks, tiled = classify_tiled(Points(cloud), SCALE, Until, tile_m, kind="lidar")
+    assert not marks.any()
+    assert np.array_equal(labels, truth)
+    assert tiled == state
+
+    class Refine(Until):
+        passes = (params.passes[0], params.passes[1], *params.passes[3:5])
+
+    truth, _, _ = classify_tiled(Points(cloud), SCALE, Refine, None, kind="lidar")
+    labels, marks, _ = classify_tiled(Points(cloud), SCALE, Refine, tile_m, kind="lidar")
+    assert not marks.any()
+    assert np.array_equal(labels, truth)
+    assert 0.1 < (labels == 2).mean() < 0.95
+
+
+def test_the_order_of_the_points_changes_nothing() -> None:
+    cloud = SCENES["hills_with_houses"](np.random.default_rng(2))
+    order = np.random.default_rng(0).permutation(cloud.shape[1])
+    truth, _, state = classify_tiled(Points(cloud), SCALE, SMALL, None, kind="lidar")
+    shuffled, _, other = classify_tiled(Points(cloud[:, order]), SCALE, SMALL, None, kind="lidar")
+    assert np.array_equal(shuffled, truth[order])
+    assert state == other
+
+
+def test_blocks_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloud = Points(SCENES["voids"](np.random.default_rng(2)))
+    truth, _, _ = classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")
+    monkeypatch.setattr(objects, "BLOCK_CELLS", 16)
+    assert np.array_equal(classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")[0], truth)
+
+
+def test_an_offset_of_the_frame_changes_nothing() -> None:
+    xyz, _ = scene(8000)
+    labels = ptd.classify(xyz, "auto").classification
+    moved = ptd.classify(xyz + [640_000.0, -64_000.0, 0.0], "auto").classification
+    assert np.array_equal(labels, moved)
+
+
+def test_errors_of_the_isprs_samples(shared_data: Path) -> None:
+    """One setting: total 3.03 percent, type I 2.1, type II 6.5."""
+    errors = []
+    for name in ("11", "12", "22", "24", "31", "42", "51", "53"):
+        cloud = laspy.read(shared_data / "isprs" / f"samp{name}-utm.laz")
+        found = ptd.classify(np.stack([cloud.x, cloud.y, cloud.z], axis=1), "auto").classification == 2
+        errors.append((found != (np.asarray(cloud.classification) == 2)).mean())
+    assert np.mean(errors) < 0.031

@@ -1,0 +1,48 @@
+"""A code for each cell: the same for all its points, in doubt beyond what is certain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ptd.frame import Cells, Scale, Window
+from ptd.methods.auto.cell_codes import CellCodes, lowest_points
+from ptd.passes import Points
+
+SCALE = Scale(origin=(-300, 450))
+CELLS = Cells.of(1.0, SCALE)
+
+
+def points(*rows: tuple[int, int, int], labels: list[int] | None = None) -> Points:
+    xyz = np.ascontiguousarray(np.array(rows, np.int32).reshape(-1, 3).T)
+    return Points(xyz, None if labels is None else np.array(labels, np.uint8))
+
+
+@pytest.mark.parametrize("far", [3_000, 2_000_000_000])
+def test_points_take_the_code_of_their_cell(far: int) -> None:
+    """Cells start at 300 and 550 of local counts; whether the raster is kept or searched shows nowhere."""
+    x, y = np.array([300, 1300, far], np.int32), np.array([550, 550, 1550], np.int32)
+    doubtful = np.array([False, True, False])
+    window = Window(300, 550, 2_000_000_500, 2_550)
+    model = CellCodes(x, y, np.array([3, 4, 7], np.uint8), doubtful, CELLS, window, 1, {"cells": 3})
+    given = points(
+        (1299, 1549, 5), (300, 550, -5), (1300, 600, 0), (far + 9, 1600, 0), (299, 550, 0), (700, 1550, 0)
+    )
+    codes, marks = model.label(given)
+    assert codes.tolist() == [3, 3, 4, 7, 1, 1]
+    assert marks.tolist() == [False, False, True, False, True, False]
+    assert model.stats == {"cells": 3}
+
+
+def test_without_a_point_all_is_missing() -> None:
+    none = np.zeros(0, np.int32)
+    empty = CellCodes(none, none, np.zeros(0, np.uint8), np.zeros(0, bool), CELLS, Window.everything(), 5, {})
+    codes, marks = empty.label(points((1, 2, 3)))
+    assert (codes.tolist(), marks.tolist()) == ([5], [False])
+
+
+def test_the_lowest_point_of_a_cell_and_its_label() -> None:
+    given = points((1400, 600, 9), (1350, 700, -2), (310, 560, 4), labels=[3, 4, 5])
+    x, y, z, labels = lowest_points(given, CELLS)
+    assert [c.tolist() for c in (x, y, z, labels)] == [[310, 1350], [560, 700], [4, -2], [5, 4]]
+    assert lowest_points(points((1, 2, 3)), CELLS)[3].tolist() == [0]

@@ -1,0 +1,239 @@
+"""Surfaces above all that is seen around them, on rasters drawn by hand."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ptd.frame import Cells
+from ptd.ground.morphology import EMPTY, CellRaster
+from ptd.methods.auto.plateaus import Plateaus, on_plateaus, plateaus
+
+RULE = Plateaus(step=1000.0, gap=2, view=4, fall=1500.0, slope=0.0, share=0.9, unseen=0.5, area=20, widest=12,
+    widest_cut=8,
+)  # fmt: skip
+WAYS = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if r or c]
+
+
+def land(height: int = 0) -> np.ndarray:
+    return np.full((30, 30), height, np.int32)
+
+
+def test_a_roof_is_found_whole() -> None:
+    heights = land()
+    heights[10:20, 8:15] = 5000
+    assert np.array_equal(plateaus(heights, RULE), heights == 5000)
+
+
+def test_points_of_the_roof_in_cells_of_its_edge_are_on_it_too() -> None:
+    """A roof that covers half of the cells along two of its edges."""
+    x, y = (
+        c.ravel().astype(np.int32) for c in np.meshgrid(np.arange(60) * 500 + 250, np.arange(60) * 500 + 250)
+    )
+    roof = (x > 9000) & (x < 16_500) & (y > 9000) & (y < 16_500)
+    z = np.where(roof, 5000, 0).astype(np.int32)
+    ground = np.ones(z.size, bool)
+    ground[::7] = False
+    raster = CellRaster(x, y, Cells(1000, 1, 0, 0))
+    assert np.array_equal(on_plateaus(z, ground, ~ground, raster, RULE), roof & ground)
+
+
+def test_a_gabled_roof_among_trees_is_found() -> None:
+    """Steps of 1 m on the roof, two cells without ground around it."""
+    heights = land()
+    heights[8:22, 6:20] = EMPTY
+    heights[10:20, 8:18] = 5000 + 1000 * np.minimum(np.arange(10), np.arange(10)[::-1])
+    assert np.array_equal(plateaus(heights, RULE), (heights > 4000) & (heights != EMPTY))
+
+
+def test_steps_are_followed_across_gaps() -> None:
+    heights = land()
+    heights[10:20, 8:18] = 5000
+    heights[12, 8:18] = EMPTY
+    found = plateaus(heights, RULE)
+    assert np.array_equal(found, heights == 5000)
+    assert not plateaus(heights, replace(RULE, area=95)).any()
+    heights[12:14, 8:18] = EMPTY
+    assert not plateaus(heights, replace(RULE, area=70)).any()
+
+
+def test_the_border_of_the_data_may_cut_a_roof_but_not_two_of_its_ends() -> None:
+    heights = land()
+    heights[:7, 8:16] = 5000
+    assert np.array_equal(plateaus(heights, RULE), heights == 5000)
+    heights[:9, 8:16] = 5000
+    assert not plateaus(heights, RULE).any()  # too wide for one that is cut
+    across = land()[:, :10].copy()
+    across[12:18] = 5000
+    rule = replace(RULE, widest_cut=12)
+    assert not plateaus(across, rule).any()
+    across[:, 9] = 0
+    assert np.array_equal(plateaus(across, rule), across == 5000)
+    # Trees at both ends are no border.
+    across[12:18, 9] = across[12:18, 0] = EMPTY
+    data = np.ones(across.shape, bool)
+    assert np.array_equal(plateaus(across, rule, None, data), across == 5000)
+
+
+def hall_with_annexes() -> np.ndarray:
+    """A hall; at its foot a lower roof, a ledge of 3 cells, and beside that one lower still."""
+    heights = land()
+    heights[10:20, 8:18] = 9000
+    heights[10:20, 18:23] = 5000
+    heights[20, 9:12] = 6000
+    heights[10:20, 23:26] = 2500
+    return heights
+
+
+def test_what_leans_on_a_roof_is_found_after_it() -> None:
+    heights = hall_with_annexes()
+    removed = np.zeros(heights.shape, bool)
+    for lowest in (9000, 5000, 2500):
+        roof = plateaus(np.where(removed, EMPTY, heights).astype(np.int32), RULE, removed)
+        removed |= roof
+        assert np.array_equal(removed, heights >= lowest)
+    # Alone, three cells are too few to be a roof.
+    heights[removed] = 0
+    heights[20, 9:12] = 6000
+    assert not plateaus(heights, RULE, np.zeros(heights.shape, bool)).any()
+
+
+def test_what_a_hill_leans_on_is_kept() -> None:
+    """A terrace below a roof that was removed by mistake sees terrain above it, farther up."""
+    heights = land()
+    heights[:10] = 9000
+    heights[10:15] = 5000
+    removed = np.zeros(heights.shape, bool)
+    removed[8:10, 10:20] = True
+    assert not plateaus(np.where(removed, EMPTY, heights).astype(np.int32), RULE, removed).any()
+
+
+@pytest.mark.parametrize(
+    "why",
+    ["ramp", "wide", "small", "low", "pit", "terrace", "slope", "higher beside", "out of sight", "alone"],
+)
+def test_terrain_is_kept(why: str) -> None:
+    heights, rule = land(), RULE
+    heights[10:20, 8:18] = 5000
+    if why == "ramp":
+        heights[15, 18:24] = [4200, 3400, 2600, 1800, 1000, 200]
+    elif why == "wide":
+        rule = replace(RULE, widest=9)
+    elif why == "small":
+        rule = replace(RULE, area=101)
+    elif why == "low":
+        heights[10:20, 8:18] = 1500
+    elif why == "pit":
+        heights[10:20, 8:18] = -5000
+    elif why == "terrace":
+        heights[:, 8:18] = 0
+        heights[:10] = 5000
+        rule = replace(RULE, widest=100)
+    elif why == "slope":
+        # A clearing in a wood on a hill: the ground seen four cells away is lower by 1 m a cell, as on any slope.
+        heights[7:23, 5:21] = EMPTY
+        heights[10:20, 8:18] = 4500
+        rule = replace(RULE, slope=800.0)
+    elif why == "higher beside":
+        heights[10:20, 18:28] = 9000
+    elif why == "out of sight":
+        heights[4:26, 2:24] = EMPTY
+        heights[10:20, 8:18] = 5000
+    else:
+        heights[heights == 0] = EMPTY
+    assert not plateaus(heights, rule)[10:20, 8:18].any()
+
+
+def by_hand(heights: np.ndarray, rule: Plateaus, removed: np.ndarray, data: np.ndarray) -> np.ndarray:
+    """The rule word by word."""
+    gone = {(int(r), int(c)) for r, c in np.argwhere(removed)}
+    filled = {(int(r), int(c)): int(heights[r, c]) for r, c in np.argwhere(heights != EMPTY)}
+
+    def first(cell: tuple[int, int], way: tuple[int, int], farthest: int) -> tuple[int, int] | None:
+        ahead = ((cell[0] + k * way[0], cell[1] + k * way[1]) for k in range(1, farthest + 1))
+        return next((place for place in ahead if place in filled), None)
+
+    def says(cell: tuple[int, int], other: tuple[int, int] | None) -> str:
+        if other is None:
+            return "nothing"
+        lower, steps = filled[cell] - filled[other], max(abs(cell[0] - other[0]), abs(cell[1] - other[1]))
+        if lower <= rule.fall:
+            return "other"
+        return "falls" if lower > rule.fall + rule.slope * steps else "nothing"
+
+    def leaves(cell: tuple[int, int], way: tuple[int, int]) -> bool:
+        ahead = ((cell[0] + k * way[0], cell[1] + k * way[1]) for k in range(1, rule.view + 1))
+        return not any(0 <= r < data.shape[0] and 0 <= c < data.shape[1] and data[r, c] for r, c in ahead)
+
+    def joined(cell: tuple[int, int], way: tuple[int, int], other: tuple[int, int] | None) -> bool:
+        near = [(cell[0] + k * way[0], cell[1] + k * way[1]) for k in (1, 2)]
+        until = near[: near.index(other) + 1] if other in near else near
+        return any(place in gone for place in until[: rule.view])
+
+    found, left = np.zeros(heights.shape, bool), set(filled)
+    while left:
+        surface, waiting = set(), [min(left)]
+        while waiting:
+            cell = waiting.pop()
+            surface.add(cell)
+            near = (first(cell, way, rule.gap) for way in WAYS)
+            waiting += [
+                n for n in near if n and n not in surface and abs(filled[n] - filled[cell]) <= rule.step
+            ]
+        left -= surface
+        looks = [(cell, way, first(cell, way, rule.view)) for cell in surface for way in WAYS]
+        looks = [(cell, way, n) for cell, way, n in looks if n not in surface]
+        said = Counter(says(cell, n) for cell, way, n in looks)
+        past = sum(says(cell, n) == "nothing" and joined(cell, way, n) for cell, way, n in looks)
+        leans = sum(joined(*look) for look in looks) >= max(0.2 * len(looks), 1)
+        leave = Counter(
+            way for cell, way, n in looks if n is None and not joined(cell, way, n) and leaves(cell, way)
+        )
+        through = any(min(leave[a, b], leave[-a, -b]) >= 3 for a, b in ((0, 1), (1, 0)))
+        limit = rule.widest_cut if leave.total() > 0.02 * len(looks) else rule.widest
+        falls, seen, unseen = said["falls"], said["falls"] + said["other"], said["nothing"] - past
+        wide = max(np.ptp([r for r, _ in surface]), np.ptp([c for _, c in surface])) + 1
+        if seen and falls >= (0.5 if leans else rule.share) * seen and unseen <= rule.unseen * len(looks):
+            for cell in (
+                surface if (len(surface) >= rule.area or leans) and wide <= limit and not through else ()
+            ):
+                found[cell] = True
+    return found
+
+
+@st.composite
+def blocky(draw: st.DrawFn) -> np.ndarray:
+    """Blocks of few heights, some of them empty."""
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    coarse = random.choice([EMPTY, 0, 0, 800, 3000, 5000], (9, 9)).astype(np.int32)
+    fine = np.kron(coarse, np.ones((3, 3), np.int32)).astype(np.int32)
+    fine[random.random(fine.shape) < 0.1] = EMPTY
+    return fine
+
+
+@settings(max_examples=40, deadline=None)
+@given(blocky(), st.integers(1, 3), st.integers(1, 5), st.integers(1, 12), st.booleans())
+def test_it_is_the_rule_and_sees_no_farther_than_it_says(
+    heights: np.ndarray, gap: int, view: int, widest: int, again: bool
+) -> None:
+    removed, data = (heights == 5000) & again, (heights != EMPTY) | (np.arange(27) % 4 > 0)
+    rule = replace(
+        RULE, gap=gap, view=view, slope=700.0, widest=widest, widest_cut=max(widest - 3, 1), area=4, share=0.7
+    )
+    heights = np.where(removed, EMPTY, heights).astype(np.int32)
+    found = plateaus(heights, rule, removed, data)
+    assert np.array_equal(found, by_hand(heights, rule, removed, data))
+    for row, column in ((13, 13), (0, 5), (20, 26)):
+        south, west = max(row - rule.reach, 0), max(column - rule.reach, 0)
+        near = np.s_[south : row + rule.reach + 1, west : column + rule.reach + 1]
+        part = plateaus(
+            np.ascontiguousarray(heights[near]),
+            rule,
+            *(np.ascontiguousarray(a[near]) for a in (removed, data)),
+        )
+        assert part[row - south, column - west] == found[row, column]

@@ -1,0 +1,296 @@
+"""The method as a whole: what its parts find and drop, the round that is the last, tiles, the ISPRS samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ptd
+from ptd.frame import OPEN, Scale, Window
+from ptd.methods import make_params
+from ptd.methods.ridge2016.method import Ridge2016
+from ptd.methods.ridge2016.passes import SEED, last_round
+from ptd.passes import Points
+from ptd.tin.mesh import Tin
+from tests.ptd.ground.test_certificates import cut, opened
+from tests.ptd.scenes import CM, SCENES, Cloud
+from tests.ptd.tiling import classify_tiled
+
+EVERYTHING = Window.everything()
+SCALE = Scale(Fraction(1, CM), Fraction(1, CM), (-7_123_456, 93_000_017))
+DEFAULTS = Ridge2016()
+SMALL = Ridge2016(max_building_size_m=6.0, rounds=4, low_radius_m=2.5, low_depth_m=2.0)
+SAMPLES = ("11", "12", "22", "24", "31", "42", "51", "53")
+
+
+def labels_of(cloud: Cloud, params: Ridge2016 = DEFAULTS, scale: Scale = SCALE) -> np.ndarray:
+    return classify_tiled(Points(cloud), scale, params, None)[0]
+
+
+@pytest.fixture(params=["hills_with_houses", "lattice", "blunders"])
+def cloud(request: pytest.FixtureRequest) -> Cloud:
+    return SCENES[request.param](np.random.default_rng(7))
+
+
+@pytest.mark.parametrize("params", [DEFAULTS, SMALL])
+def test_neither_order_nor_frame_change_a_label(cloud: Cloud, params: Ridge2016) -> None:
+    whole = labels_of(cloud, params)
+    assert set(whole.tolist()) >= {1, 2}
+    order = np.random.default_rng(0).permutation(cloud.shape[1])
+    assert np.array_equal(labels_of(cloud[:, order], params), whole[order])
+    moved = cloud + np.array([[12_345], [-54_321], [777]], np.int32)
+    origin = SCALE.origin[0] - 12_345, SCALE.origin[1] + 54_321
+    assert np.array_equal(labels_of(moved, params, replace(SCALE, origin=origin)), whole)
+
+
+def test_finer_counts_change_nothing(cloud: Cloud) -> None:
+    fine = Scale(Fraction(1, 8 * CM), Fraction(1, 8 * CM), (8 * SCALE.origin[0], 8 * SCALE.origin[1]))
+    assert np.array_equal(labels_of((8 * cloud).astype(np.int32), scale=fine), labels_of(cloud))
+
+
+def test_heights_may_have_another_unit_than_positions(cloud: Cloud) -> None:
+    fine = replace(SCALE, metres_z=Fraction(1, 4 * CM))
+    taller = cloud * np.array([[1], [1], [4]], np.int32)
+    assert np.array_equal(labels_of(taller, scale=fine), labels_of(cloud))
+
+
+TINY = {
+    "none": [],
+    "one": [(5, 5, 5)],
+    "three": [(5, 5, 5), (90, 7, 6), (30, 200, 5)],
+    "on a line": [(k * 130, k * 260, k) for k in range(40)],
+    "at one spot": [(7, 7, k % 2) for k in range(9)],
+    "duplicates": [(5, 5, 5), (90, 7, 6), (30, 200, 5)] * 4,
+}
+
+
+@pytest.mark.parametrize("name", TINY)
+def test_tiny_clouds_are_ground(name: str) -> None:
+    cloud = np.array(TINY[name], np.int32).reshape(-1, 3).T
+    assert labels_of(cloud).tolist() == [2] * len(TINY[name])
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    points=st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9), st.integers(0, 9)), max_size=25),
+    spacing=st.sampled_from([1, 100, 3000]), closed=st.booleans(),
+)  # fmt: skip
+def test_any_few_points_are_labelled(points: list[tuple[int, int, int]], spacing: int, closed: bool) -> None:
+    cloud = (np.array(points, np.int32).reshape(-1, 3).T * spacing).astype(np.int32)
+    window = Window(0, 0, 9 * spacing + 1, OPEN) if closed else EVERYTHING
+    first, last = DEFAULTS.passes
+    counts = first.fit(Points(cloud), window, window, SCALE, {})
+    state = first.reduce([counts.partial()], {})
+    assert counts.stats["points"] == state["ridge2016"]["points"] == len(points)
+    codes, _ = counts.label(Points(cloud))
+    given = Points(cloud, codes)
+    labels, marked = last.fit(given, window, window, SCALE, state).label(given)
+    assert set(labels.tolist()) <= {1, 2, 7}
+    assert labels.size == marked.size == len(points)
+
+
+def test_the_last_round_by_hand() -> None:
+    """10000 points, 0.001 of them are 10."""
+    gained = [500, 60, 11, 10, 9]
+    last, note = last_round(10_000, gained, [0] * 5, 0.001)
+    assert last == 4
+    assert (
+        note
+        == "densification ends after 4 rounds, the last of which added 0.10 % of all points to the terrain"
+    )
+    assert last_round(11_000, gained, [0] * 5, 0.001)[0] == 3
+    last, note = last_round(10_000, gained, [0] * 5, 0.0008)
+    assert last == 5
+    assert note.endswith("still more than 0.08 %, but no more rounds were wanted")
+
+
+def test_points_near_edges_are_told_where_they_could_change_the_last_round() -> None:
+    gained = [500, 60, 11, 10]
+    assert "wider halo" not in last_round(10_000, gained, [3, 0, 0, 0], 0.001)[1]
+    assert "wider halo" in last_round(10_000, gained, [0, 1, 0, 0], 0.001)[1]
+    assert "wider halo" in last_round(10_000, gained, [0, 0, 0, 1], 0.001)[1]
+    assert "wider halo" not in last_round(11_000, gained, [0, 0, 0, 1], 0.001)[1]
+
+
+def test_partials_add_up_in_any_order() -> None:
+    step = Ridge2016(rounds=2).passes[0]
+    parts = [
+        {"points": 700, "gained": [200, 1], "unsure": [1, 1]},
+        {"points": 300, "gained": [100, 0], "unsure": [0, 0]},
+    ]
+    state = step.reduce(parts, {"run": {}, "notes": ["before"]})
+    assert state == step.reduce(parts[::-1], {"run": {}, "notes": ["before"]})
+    assert state["ridge2016"] == {"rounds": 2, "points": 1000, "gained": [300, 1], "unsure": [1, 1]}
+    assert state["notes"][0] == "before"
+    assert len(state["notes"]) == 2
+
+
+def test_a_count_near_the_edge_of_a_window_is_not_certain() -> None:
+    cloud = SCENES["plane"](np.random.default_rng(1))
+    core = Window(7_000, 5_000, 9_000, 7_000)
+    for window, certain in ((EVERYTHING, True), (Window(5_000, 4_000, 11_000, 9_000), False)):
+        part = np.ascontiguousarray(cloud[:, cut(cloud, window)])
+        model = SMALL.passes[0].fit(Points(part), window, core, SCALE, {})
+        assert (model.uncertain() == 0) == certain
+        assert model.partial()["points"] == cut(cloud, core).sum()
+        assert max(model.partial()["unsure"]) == model.uncertain()
+
+
+def test_without_a_growth_to_watch_there_is_one_pass() -> None:
+    (only,) = Ridge2016(growth=0.0, rounds=3).passes
+    model = only.fit(Points(SCENES["plane"](np.random.default_rng(1))), EVERYTHING, EVERYTHING, SCALE, {})
+    assert model.stats["rounds"] <= 3
+    assert only.reduce([model.partial()], {"kept": 1}) == {"kept": 1}
+
+
+def test_the_last_pass_has_the_tin_of_the_round_that_was_decided() -> None:
+    cloud = SCENES["hills_with_houses"](np.random.default_rng(7))
+    params = Ridge2016(growth=0.01)
+    result = ptd.classify(cloud.T / CM, "ridge2016", params)
+    statistics = result.decisions["statistics"]["ridge2016"]
+    last = statistics["rounds"]
+    assert result.stats["ridge2016"]["rounds"] == last < result.stats["growth"]["rounds"]
+    one = ptd.classify(cloud.T / CM, "ridge2016", Ridge2016(growth=0.0, rounds=last))
+    assert np.array_equal(one.classification, result.classification)
+    assert one.stats["ridge2016"]["vertices"] == result.stats["ridge2016"]["vertices"]
+    assert one.stats["ridge2016"]["seeds"] == result.stats["growth"]["seeds"]
+    assert len(statistics["gained"]) == statistics["rounds"]
+    assert statistics["gained"][-1] <= 0.01 * statistics["points"] < min(statistics["gained"][:-1])
+    assert statistics["points"] == cloud.shape[1]
+
+
+def test_codes_of_vertices_are_the_rounds_in_which_they_became_such() -> None:
+    cloud = SCENES["hills_with_houses"](np.random.default_rng(7))
+    model = SMALL.passes[0].fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {})
+    codes, marked = model.label(Points(cloud))
+    assert not marked.any()
+    assert set(codes.tolist()) == {1, 7, SEED, SEED + 1, SEED + 2, SEED + 3}
+    assert (codes == SEED).sum() == model.stats["seeds"] + model.stats["ridge_points"] - model.stats[
+        "dropped_seeds"
+    ]
+    order = np.random.default_rng(0).permutation(cloud.shape[1])
+    assert np.array_equal(model.label(Points(np.ascontiguousarray(cloud[:, order])))[0], codes[order])
+    stranger = cloud[:, :1] + np.array([[0], [0], [1]], np.int32)
+    assert model.label(Points(stranger.astype(np.int32)))[0].tolist() == [1]
+
+
+def tiled(
+    params: Ridge2016, cloud: Cloud, tile_m: float, halo_m: float
+) -> tuple[np.ndarray, np.ndarray, Any]:
+    return classify_tiled(Points(cloud), SCALE, params, tile_m, halo_m)
+
+
+@pytest.mark.parametrize("scene", ["hills_with_houses", "voids", "blunders"])
+def test_tiles_do_not_show(scene: str) -> None:
+    """Labels are equal where nothing is marked; with a wide halo nothing is, and the run's figures are identical."""
+    cloud = SCENES[scene](np.random.default_rng(5))
+    whole, none, state = classify_tiled(Points(cloud), SCALE, SMALL, None)
+    assert not none.any()
+    labels, marks, _ = tiled(SMALL, cloud, 60.0, 20.0)
+    assert np.array_equal(labels[~marks], whole[~marks])
+    labels, marks, counted = tiled(SMALL, cloud, 60.0, 140.0)
+    assert np.array_equal(labels, whole)
+    assert not marks.any()
+    assert counted == state
+    assert np.array_equal(tiled(SMALL, cloud[:, ::-1].copy(), 60.0, 140.0)[0], whole[::-1])
+
+
+SIDE = 30_000
+
+
+def rough_roofs(seed: int) -> tuple[np.random.Generator, Cloud, Ridge2016]:
+    """Cells small against the window, sharp ridges and steps, thresholds at which much is found and dropped."""
+    rng = np.random.default_rng(seed)
+    step = int(rng.choice([1, 1, 100, 250]))
+    cloud = (rng.integers(0, SIDE, (3, 5000)) // step * step).astype(np.int32)
+    x, y = cloud[:2] / CM
+    z = rng.choice([0, 8]) * (x // 17 % 2) + rng.choice([1, 6]) * np.abs(
+        (x + 0.3 * y) % rng.choice([18, 30]) - 9
+    )
+    z += rng.choice([0.05, 0.3, 1.5]) * rng.random(x.size)
+    z[rng.random(x.size) < 0.02] -= rng.uniform(2, 9)
+    z[rng.random(x.size) < 0.2] += rng.uniform(2, 9)
+    cloud[2] = np.rint(z * CM)
+    params = Ridge2016(
+        max_building_size_m=float(rng.choice([5.0, 6.0, 8.5])), thin_cell_m=float(rng.choice([0.7, 1.0, 3.0])),
+        terrain_angle_deg=float(rng.choice([30, 88])), iteration_angle_deg=float(rng.choice([6, 15, 30])),
+        ridge_side=float(rng.choice([0.5, 1.0, 1.5])), ridge_angle_deg=float(rng.choice([2, 10, 25])),
+        ridge_radius_m=float(rng.choice([0.5, 2.0, 5.0])), seed_confidence=float(rng.choice([0.5, 0.8, 0.98])),
+        low_radius_m=2.5, low_depth_m=2.0, low_group=int(rng.choice([0, 1, 5])),
+        label_floor_m=float(rng.choice([0.0, 0.3])), growth=0.0, rounds=int(rng.choice([1, 2, 3, 5])),
+    )  # fmt: skip
+    return rng, cloud, params
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_unmarked_labels_of_any_window_are_those_of_the_untiled_run(seed: int) -> None:
+    rng, cloud, params = rough_roofs(seed)
+    truth = labels_of(cloud, params)
+    (west, south), (wide, high) = rng.integers(-SIDE // 3, SIDE // 2, 2), rng.integers(SIDE // 2, SIDE, 2)
+    window = opened(cloud, Window(int(west), int(south), int(west + wide), int(south + high)))
+    inside = cut(cloud, window)
+    part = np.ascontiguousarray(cloud[:, inside])
+    labels, marked = params.passes[-1].fit(Points(part), window, window, SCALE, {}).label(Points(part))
+    assert not (~marked & (labels != truth[inside])).any()
+    first, last = replace(params, growth=0.001).passes
+    whole = first.fit(Points(cloud), EVERYTHING, EVERYTHING, SCALE, {})
+    state = first.reduce([whole.partial()], {})
+    codes, _ = whole.label(Points(cloud))
+    labels, marked = first.fit(Points(part), window, window, SCALE, {}).label(Points(part))
+    assert not (~marked & (labels != codes[inside])).any()
+    truth = labels_of(cloud, replace(params, rounds=state["ridge2016"]["rounds"]))
+    given = Points(part, codes[inside])
+    labels, marked = last.fit(given, window, window, SCALE, state).label(given)
+    assert not (~marked & (labels != truth[inside])).any()
+
+
+def test_some_of_such_windows_is_certain() -> None:
+    """So that the test above sees something: ridges are found, seeds dropped, labels not marked."""
+    _, cloud, params = rough_roofs(4)
+    window = Window(-OPEN, -OPEN, 28_000, OPEN)
+    part = np.ascontiguousarray(cloud[:, cloud[0] < 28_000])
+    model = params.passes[-1].fit(Points(part), window, window, SCALE, {})
+    assert model.stats["ridge_points"] > 20
+    assert model.stats["dropped_seeds"] > 20
+    assert 0.3 < model.label(Points(part))[1].mean() < 0.9
+
+
+def test_on_the_isprs_samples_the_mean_total_error_is_below_7_percent(shared_data: Path) -> None:
+    """Eight of the fifteen samples of Sithole and Vosselman (2003); class 2 is ground."""
+    import laspy
+
+    errors = []
+    for name in SAMPLES:
+        las = laspy.read(shared_data / "isprs" / f"samp{name}-utm.laz")
+        found = ptd.classify(np.column_stack([las.x, las.y, las.z]), "ridge2016").classification
+        errors.append(float(((found == 2) != (np.asarray(las.classification) == 2)).mean()))
+    assert np.mean(errors) <= 0.07, dict(zip(SAMPLES, errors, strict=True))
+
+
+@pytest.mark.slow
+def test_on_a_mountain_beside_a_settlement_the_terrain_is_better_than_that_of_classic() -> None:
+    """The paper's comparison (25 % less RMSE than `classic`), with the paper's parameters and with our defaults."""
+    from tiler.simulate.catalogue import make_scene
+
+    scene = make_scene("als_mountain")
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(10.5, 290), np.arange(10.5, 290)))
+    truth = scene.truth(x, y)
+
+    def rmse(method: str, **texts: str) -> float:
+        found = ptd.classify(scene.xyz, method, make_params(method, texts)).classification == 2
+        tin = Tin.build(*np.rint(scene.xyz[found].T * 1000).astype(np.int32))
+        heights = tin.heights((x * 1000).astype(np.int32), (y * 1000).astype(np.int32)) / 1000
+        return float(np.sqrt(np.nanmean((heights - truth) ** 2)))
+
+    paper = {"iteration_angle": "6", "edge_length_reduce": "0", "edge_length_stop": "1"}
+    ours = rmse("ridge2016", **paper, label_floor="0", rounds="60")
+    assert ours < 0.75 * rmse("classic", **paper, label_pass="no", rounds="0")
+    assert rmse("ridge2016") < 0.75 * min(rmse("classic"), ours)

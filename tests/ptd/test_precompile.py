@@ -1,0 +1,62 @@
+"""What is compiled before a run starts."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ptd
+from ptd import precompile
+from ptd.methods import METHODS
+from ptd.precompile import warm_filters, warm_gridding
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where it is noted; the machine code stays where it is."""
+    monkeypatch.setattr(precompile, "cache_folder", lambda: tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_gets_through_the_scene(method: str, folder: Path) -> None:
+    """A refusal on the way would leave the kernels of later passes to the workers."""
+    told: list[str] = []
+    for _ in range(2):
+        warm_filters(method, lambda: told.append(method))
+    assert told == [method]
+    assert [path.name for path in folder.iterdir()] == [f"{method}.compiled"]
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "natural"])
+def test_gridding(interpolation: str, folder: Path) -> None:
+    told: list[str] = []
+    for _ in range(2):
+        warm_gridding(interpolation, lambda: told.append(interpolation))
+    assert told == [interpolation]
+
+
+def test_without_a_place_to_keep_it_nothing_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(precompile, "cache_folder", lambda: None)
+    monkeypatch.setattr(precompile, "_scene", lambda: pytest.fail("compiled for nothing"))
+    told: list[str] = []
+    warm_filters("classic", lambda: told.append("each process compiles for itself"))
+    assert told
+
+
+def test_another_installation_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    """numba keeps code by the place of its source: what one has compiled is not the other's."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": ""}
+    folders = set()
+    for place in (tmp_path / "one", tmp_path / "twin"):
+        shutil.copytree(
+            Path(ptd.__file__).parent, place / "ptd", ignore=shutil.ignore_patterns("__pycache__")
+        )
+        told = [sys.executable, "-c", "from ptd.kernel import cache_folder; print(cache_folder())"]
+        folders.add(subprocess.run(told, cwd=place, env=environment, check=True, capture_output=True).stdout)
+    assert len(folders) == 2
