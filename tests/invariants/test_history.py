@@ -170,7 +170,8 @@ def test_another_run_cut_off_at_each_write(
     assert writes > 10
 
 
-@pytest.mark.parametrize("other", ["other tiles", pytest.param("two passes", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("other", ["other tiles", "two passes"])
 def test_there_and_back_again(
     other: str, quarter_files: list[Path], alone: Callable[[str], dict[str, str]], tmp_path: Path
 ) -> None:

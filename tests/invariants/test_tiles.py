@@ -22,7 +22,7 @@ def shapes(city: Cloud, tmp_path_factory: pytest.TempPathFactory) -> dict[str, P
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("tile", [pytest.param(32, marks=pytest.mark.slow), 64, 96])
+@pytest.mark.parametrize("tile", [64, *(pytest.param(tile, marks=pytest.mark.slow) for tile in (32, 96))])
 def test_tiles_do_not_show(shape: str, tile: int, shapes: dict[str, Path], tmp_path: Path) -> None:
     do(shapes[shape], tmp_path / "whole", until="filter", tile_size=UNTILED)
     whole, doubt = stored_labels(tmp_path / "whole")
@@ -35,7 +35,9 @@ def test_tiles_do_not_show(shape: str, tile: int, shapes: dict[str, Path], tmp_p
     assert not marked.any()
 
 
-@pytest.mark.parametrize("shape", ["full", "river", "flight line"])
+@pytest.mark.parametrize(
+    "shape", ["river", *(pytest.param(shape, marks=pytest.mark.slow) for shape in ("full", "flight line"))]
+)
 def test_marks_tell_the_truth_and_fall_to_zero(
     shape: str, shapes: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

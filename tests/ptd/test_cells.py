@@ -34,7 +34,7 @@ near = st.tuples(st.integers(-300, 300), st.integers(-300, 300), st.integers(-3,
 far = st.tuples(st.integers(-(2**25), 2**25), st.integers(-(2**25), 2**25), st.integers(-3, 3))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     points=st.one_of(st.lists(near, max_size=60), st.lists(far, max_size=12)),
     size=st.sampled_from([0.01, 0.05, 0.1, 0.33, 1.0, 20.0]),

@@ -105,7 +105,7 @@ def test_a_core_far_from_the_border_carries_no_mark_though_points_lie_beyond() -
     assert share_marked(DEFAULTS, cloud, truth, pad(core, 150), core) == 0.0
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     scene=st.sampled_from(sorted(SCENES)), variant=st.sampled_from(sorted(VARIANTS)), seed=st.integers(0, 10**6),
     west=st.integers(-2000, 20000), south=st.integers(-2000, 15000),
@@ -123,7 +123,7 @@ def test_any_window_of_any_scene(
     share_marked(params, cloud, truth, window, window)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 10**6), n=st.integers(1, 60), side=st.integers(500, 12000), step=st.integers(1, 700)
 )
@@ -160,7 +160,7 @@ def small_cells(seed: int) -> tuple[Classic, Cloud, Window]:
     return params, cloud, Window(int(west - wide), int(south - high), int(west + wide), int(south + high))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 10**6))
 @example(
     seed=109
@@ -244,7 +244,7 @@ def test_a_place_in_the_circle_puts_it_in_doubt(place: tuple[int, int]) -> None:
     assert doubt_of(triangle(*RIGHT), doubt) == [True]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     corners=st.lists(st.tuples(st.integers(0, 59_999), st.integers(0, 59_999)), min_size=3, max_size=3, unique=True),
     place=st.tuples(st.integers(0, 59_999), st.integers(0, 59_999)),
@@ -293,7 +293,7 @@ def test_window_inside_whole_cells() -> None:
     assert Window.everything().inside(cells, 5) == Window.everything()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     corners=st.lists(st.tuples(st.integers(0, 59_999), st.integers(0, 59_999)), min_size=3, max_size=3, unique=True),
     reach=st.sampled_from([0.0, 2000.0, 5000.0]), seed=st.integers(0, 10**6),

@@ -85,7 +85,7 @@ def scene(seed: int, n: int, rough: int) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack([CORNERS, points[:5]]), points[5:]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     seed=st.integers(0, 10**6), rough=st.sampled_from([50, 800, 4000]), rounds=st.sampled_from([0, 1, 2, 5]),
     angle=st.sampled_from([8.0, 25.0, 50.0]), terrain=st.sampled_from([5.0, 20.0, 88.0]),
@@ -94,7 +94,7 @@ def scene(seed: int, n: int, rough: int) -> tuple[np.ndarray, np.ndarray]:
 def test_the_vertices_are_those_of_the_naive_way(
     seed: int, rough: int, rounds: int, angle: float, terrain: float, reduce: float, stop: float
 ) -> None:
-    seeds, candidates = scene(seed, 120, rough)
+    seeds, candidates = scene(seed, 80, rough)
     limits = Limits.of(
         Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=terrain, reduce_m=reduce, stop_m=stop
     )

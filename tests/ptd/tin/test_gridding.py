@@ -45,7 +45,7 @@ def passing(facet: reference.Facet, max_edge2: float, max_radius2: float) -> boo
 
 
 @given(points_near, cells, st.sampled_from([(math.inf, math.inf), (12, math.inf), (15, 7.5), (9, 9)]))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 def test_heights_by_definition(points: Points, cell: tuple[int, int], limits: tuple[float, float]) -> None:
     tin = Tin.build(*columns(points))
     pixels = block(*cell, -2, 27) if cell[1] < 100 else Pixels(*cell, 18 * 10, 18 * 14, 90, 90)
@@ -76,7 +76,7 @@ def test_heights_by_definition(points: Points, cell: tuple[int, int], limits: tu
 
 
 @given(points_near, cells)
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=15)
 def test_owner_of_a_pixel_on_an_edge_is_the_side_with_the_smaller_apex(
     points: Points, cell: tuple[int, int]
 ) -> None:

@@ -27,7 +27,7 @@ def owner_by_definition(tin: Tin, x: int, y: int) -> list[list[tuple[int, int]]]
 
 
 @given(point_sets, st.data())
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 def test_locate(points: Points, data: st.DataObject) -> None:
     tin = Tin.build(*columns(points))
     if tin.n_triangles == 0:

@@ -11,7 +11,7 @@ from ptd.tin import MAX_EXTENT, Tin
 from tests.ptd.tin import reference
 from tests.ptd.tin.strategies import Points, columns, point_sets
 
-relaxed = settings(deadline=None, max_examples=150)
+relaxed = settings(deadline=None, max_examples=60)
 
 
 def facets_of(tin: Tin) -> list[reference.Facet]:

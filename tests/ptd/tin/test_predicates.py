@@ -20,7 +20,7 @@ point = st.tuples(coordinate, coordinate)
 @example((0, 0), (far, 0), (far, far), (1, far))
 @example((0, 0), (far, 1), (far, far), (0, far))
 @example((0, 0), (far - 1, 0), (far, far - 1), (0, far - 1))
-@settings(deadline=None, max_examples=500)
+@settings(deadline=None, max_examples=200)
 def test_in_circle(a: reference.Point, b: reference.Point, c: reference.Point, p: reference.Point) -> None:
     if len({a, b, c, p}) < 4 or reference.area(a, b, c) == 0:
         return
@@ -31,7 +31,7 @@ def test_in_circle(a: reference.Point, b: reference.Point, c: reference.Point, p
 
 
 @given(st.integers(1, 4000), st.integers(0, 4000), st.integers(0, 16), st.permutations(range(4)))
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=150)
 def test_in_circle_of_rectangles_and_near_misses(u: int, v: int, power: int, order: list[int]) -> None:
     u, v = u << power >> 4, v << power >> 4
     corners = [(0, 0), (u, v), (u - v, v + u), (-v, u)]

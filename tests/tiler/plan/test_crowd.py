@@ -114,7 +114,7 @@ def test_voids_between_islands_are_no_part_of_the_density() -> None:
     assert "mostly void" in notes[0]
 
 
-@pytest.mark.parametrize("density", [0.3, 2.0, 30.0])
+@pytest.mark.parametrize("density", [0.3, 6.0])
 @pytest.mark.parametrize("order", [lambda cloud: cloud, in_lines, lambda cloud: in_tiles(cloud, 25.0)])
 @pytest.mark.parametrize("strips", [1, 9])
 def test_the_mean_counts_where_files_are_full(

@@ -16,8 +16,8 @@ from tiler.plan.make import FAR_READERS, FILES_OF_A_READER, _readers
 
 @pytest.fixture
 def folder(make_cloud: MakeCloud, tmp_path: Path) -> Path:
-    """Forty files, of which two are damaged, each in its own way."""
-    for i in range(40):
+    """Twenty-four files, of which two are damaged, each in its own way."""
+    for i in range(24):
         make_cloud(f"in/{i:02d}.las", n=20 + i, seed=i)
     (tmp_path / "in/07.las").write_bytes(b"LASF")
     whole = (tmp_path / "in/23.las").read_bytes()
@@ -32,7 +32,7 @@ def test_the_plan_is_the_same_with_any_number_of_readers(folder: Path) -> None:
         found.append(({**plan_json(plan), "workers": None, "projected_seconds": None}, plan.sources))
     assert found[0] == found[1] == found[2]
     assert [Path(path).name for path, _ in found[0][0]["unreadable"]] == ["07.las", "23.las"]
-    assert [s.points for s in found[0][1]] == [20 + i for i in range(40) if i not in (7, 23)]
+    assert [s.points for s in found[0][1]] == [20 + i for i in range(24) if i not in (7, 23)]
 
 
 def test_the_first_damaged_file_ends_a_strict_plan(folder: Path) -> None:

@@ -216,7 +216,7 @@ def blocky(draw: st.DrawFn) -> np.ndarray:
     return fine
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(blocky(), st.integers(1, 3), st.integers(1, 5), st.integers(1, 12), st.booleans())
 def test_it_is_the_rule_and_sees_no_farther_than_it_says(
     heights: np.ndarray, gap: int, view: int, widest: int, again: bool

@@ -63,7 +63,7 @@ def share_marked(seed: int) -> float:
     return float(marked.mean()) if marked.size else 0.0
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_any_window(seed: int) -> None:
     share_marked(seed)

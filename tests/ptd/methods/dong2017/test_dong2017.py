@@ -80,7 +80,7 @@ def test_no_seed_on_houses_podiums_or_trees(scene: Town) -> None:
     assert (labels == 5)[(scene.truth == 3) | (scene.truth == TREE)].mean() > 0.99
 
 
-@pytest.mark.parametrize("tile_m", [30.0, 55.0])
+@pytest.mark.parametrize("tile_m", [pytest.param(30.0, marks=pytest.mark.slow), 55.0])
 def test_tiles_do_not_show(small: Town, quick: Run, tile_m: float) -> None:
     """Windows of the default halo hold all that decides: no mark."""
     labels, marks, state = classify_tiled(small.points, SCALE, QUICK, tile_m, QUICK.halo_m)
