@@ -2,6 +2,6 @@
 
 import sys
 
-from tiler.imports import trusted_path
+from tiler.import_path import trusted_path
 
 sys.path[:] = trusted_path()  # before anything else is imported

@@ -16,8 +16,8 @@ from cli.ending import Ending, end_at_once, ended_in_time
 from cli.output import say
 from cli.session import Session
 from cli.streams import open_streams
-from tiler import __version__
 from tiler.errors import TilerError
+from tiler.version import __version__
 
 COMMANDS = {
     "run": "The whole job: clouds to a DTM and classified clouds.",

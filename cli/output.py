@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from tiler.shown import shown, stored, without_secrets
+from tiler.redaction import shown, stored, without_secrets
 
 SHARES = (0.3, 0.75, 1.5)
 """Shares of the median density at which the shades of a map end."""
@@ -63,7 +63,7 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
     Parameters
     ----------
     density : mapping
-        As `tiler.info.density_map` gives it.
+        As `tiler.apps.info.density_map` gives it.
     encoding : str or None
         Of the terminal; shades are letters where it has no blocks.
     """

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tiler.core.products import PRODUCTS
+from tiler.io.locations import joined
 from tiler.observe.progress import duration_text, rate_text, size_text
-from tiler.places import joined
 
 _RASTERS = {f"{name}.{kind}": place for place, name in enumerate(PRODUCTS) for kind in ("tif", "vrt")}
 """Names of the products' files, and their order."""
@@ -84,9 +84,9 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
     Parameters
     ----------
     classes : mapping
-        As `tiler.evaluate.scores` gives them; what `tiler.evaluate.evaluate_scenes` adds is told as well.
+        As `tiler.apps.evaluate.scores` gives them; what `tiler.apps.evaluate.evaluate_scenes` adds is told as well.
     dtm : mapping, optional
-        As `tiler.evaluate.evaluate_dtm` gives them.
+        As `tiler.apps.evaluate.evaluate_dtm` gives them.
     """
     kappa = percent_text(classes["kappa"])
     f1 = f", F1 {percent_text(classes['f1'])}" if "f1" in classes else ""
@@ -112,7 +112,7 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
 
 
 def dtm_lines(dtm: Mapping[str, Any]) -> list[str]:
-    """Differences of a DTM from its truth, as `tiler.evaluate.evaluate_dtm` gives them."""
+    """Differences of a DTM from its truth, as `tiler.apps.evaluate.evaluate_dtm` gives them."""
     unit = {"metre": "m", "foot": "ft"}.get(dtm["unit"], dtm["unit"])
     if dtm["rmse"] is None:
         return ["DTM     no pixel has both heights"]

@@ -14,8 +14,8 @@ COMPILE_FIRST = "ptd/test_precompile.py"
 COMPILE_NOTHING = tuple(
     f"{folder}/"
     for folder in (
-        "cli", "tiler/check", "tiler/core", "tiler/export", "tiler/ingest", "tiler/las", "tiler/observe",
-        "tiler/presets", "tiler/report", "tiler/schedule", "tiler/store", "tiler/vector",
+        "cli", "tiler/apps/check", "tiler/core", "tiler/export", "tiler/ingest", "tiler/io", "tiler/observe",
+        "tiler/config", "tiler/report", "tiler/schedule", "tiler/store",
     )
 )  # fmt: skip
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -7,7 +7,7 @@ import os
 import shutil
 from pathlib import Path
 
-from tiler.shown import without_secrets
+from tiler.redaction import without_secrets
 
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 _NEXT_TO_NOTHING_BYTES = 1 << 20

@@ -10,20 +10,21 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from tiler.clouds import assemble, spool
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, DamagedError, ProcessingError, StoreError
-from tiler.healing import ROUNDS, heal
-from tiler.identity import numbered
-from tiler.job import Job, RunResult
-from tiler.labels import filter_points
+from tiler.io.locations import is_url, joined, put_file
+from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_digests, earlier_outputs, folder_here
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, discreet, silent
-from tiler.places import is_url, joined, put_file
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember
-from tiler.rasters import export, grid
 from tiler.report.html import write_report
-from tiler.results import EVENTS, REPORT, RUN, STORE, earlier_digests, earlier_outputs, folder_here
+from tiler.runs.job import Job, RunResult
+from tiler.stages.export import export
+from tiler.stages.filter import filter_points
+from tiler.stages.fingerprints import numbered
+from tiler.stages.grid import grid
+from tiler.stages.ingest import assemble, spool
+from tiler.stages.repair import ROUNDS, heal
 from tiler.store import (
     Lease,
     TileStore,

@@ -58,7 +58,7 @@ def command(
     is the RMSE of non-vegetated checkpoints (NVA), with their own error; a statement needs 30 of them at least; that of
     vegetated ones (VVA) is told and never judged.
     """
-    from tiler import check
+    from tiler.apps import check
     from tiler.schedule import half_of_memory, read_apart
 
     requirements = check.parse_requirements(require)
@@ -99,7 +99,7 @@ def _print_report(report: Mapping[str, Any]) -> None:
         _print_seams(report["seams"])
     if "strips" in report:
         _print_strips(report["strips"])
-    from tiler.check import METRICS
+    from tiler.apps.check import METRICS
 
     for requirement in report["requirements"]:
         unit = " m" if METRICS[requirement["name"]].is_length else ""

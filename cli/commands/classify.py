@@ -32,7 +32,7 @@ def command(source: str, target: str, as_json: bool, **settings: Any) -> int:
     the tile is named, and the exit code is 5.
     """
     config = read_config(settings)
-    from tiler.classify import classify_file
+    from tiler.apps.classify import classify_file
     from tiler.observe.progress import open_progress
 
     session = current_session()

@@ -26,7 +26,7 @@ def command(out: Path, store: str | None, as_json: bool) -> None:
     command still finds everything done; with one more file it decodes again what touches it. `tiler run
     --clean-store` removes the whole store.
     """
-    from tiler.clean import clean
+    from tiler.apps.clean import clean
 
     found = clean(out, store)
     if as_json:

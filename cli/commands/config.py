@@ -11,9 +11,9 @@ from cli.options import SETTINGS, config_options, describe_setting, read_config
 from cli.output import say
 from cli.session import TilerCommand
 from tiler.config import RunConfig
+from tiler.config.presets import preset_text
 from tiler.errors import ConfigError
-from tiler.presets import preset_text
-from tiler.shown import without_secrets
+from tiler.redaction import without_secrets
 
 HEAD = (
     "# Settings of tiler, for --config; options of the command line win. What is commented out has no value."

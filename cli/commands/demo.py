@@ -40,7 +40,7 @@ def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
     errors of the classes and of the DTM against the truth.
     """
     config = read_config(settings)
-    from tiler.demo import run_demo
+    from tiler.apps.demo import run_demo
     from tiler.observe.progress import open_progress
 
     session = current_session()

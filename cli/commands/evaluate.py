@@ -13,10 +13,10 @@ from cli.options import config_options, json_option, read_config
 from cli.output import print_json, print_table, say
 from cli.session import TilerCommand, current_session
 from cli.summary import dtm_lines, percent_text, score_lines
+from tiler.config.parsing import parse_classes
 from tiler.core.units import parse_length
 from tiler.errors import ConfigError
 from tiler.observe.events import Listener
-from tiler.values import parse_classes
 
 SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo", "memory", "workers")
 
@@ -74,7 +74,7 @@ def command(
     filters = settings["method"] is not None
     if clouds and filters == bool(references):
         raise click.UsageError("name either --reference REF, or --method NAME to filter labelled clouds")
-    from tiler.evaluate import IGNORED, evaluate_dtm, find_scenes, refuse_targets
+    from tiler.apps.evaluate import IGNORED, evaluate_dtm, find_scenes, refuse_targets
     from tiler.observe.progress import open_progress
     from tiler.schedule import half_of_memory, read_apart
 
@@ -110,7 +110,7 @@ def _score(
     map_cell: str,
     listener: Listener,
 ) -> dict[str, Any]:
-    from tiler.evaluate import MapRequest, evaluate_scenes, filter_and_evaluate, find_scenes
+    from tiler.apps.evaluate import MapRequest, evaluate_scenes, filter_and_evaluate, find_scenes
 
     cell = parse_length(map_cell)
     if cell <= 0:

@@ -20,7 +20,7 @@ def command(path: str, as_json: bool) -> None:
     Extent, CRS and units; of a cloud its point count, classes and density, with a map of it (all points are read), of
     a store its state, of a raster its size, nodata value and heights.
     """
-    from tiler.info import describe
+    from tiler.apps.info import describe
 
     facts = describe(path)
     if as_json:

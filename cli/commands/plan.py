@@ -30,14 +30,14 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
     --store whether they can write there (a file without bytes, removed at once).
     """
     config = read_config(settings)
-    from tiler.places import joined
+    from tiler.io.locations import joined
+    from tiler.io.result_folder import STORE
     from tiler.plan import make_plan, plan_json, plan_lines
-    from tiler.results import STORE
 
     plan = make_plan(inputs, config, out)
     cluster = None
     if config.scheduler is not None:
-        from tiler.crew import look_at_cluster
+        from tiler.runs.executors import look_at_cluster
 
         store = config.store or (None if out is None else joined(out, STORE))
         plan, cluster = look_at_cluster(plan, store, out)

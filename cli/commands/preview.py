@@ -41,9 +41,9 @@ def command(
     stands in the terrain and should not, or lacks and should stand, is seen before the whole job runs.
     """
     config = read_config(settings)
+    from tiler.apps.preview import make_preview
     from tiler.core.units import parse_length
     from tiler.observe.progress import open_progress
-    from tiler.preview import make_preview
 
     session = current_session()
     side = None if size is None else float(parse_length(size))

@@ -13,7 +13,7 @@ import numpy as np
 from ptd import classify
 from ptd.methods.auto.method import Auto
 from tests.benchmarks.scorecard_scenes import Cloud
-from tiler.evaluate import IGNORED, evaluate_labels
+from tiler.apps.evaluate import IGNORED, evaluate_labels
 
 MAIN_SETTINGS = ("max_building_size_m", "seed_rise", "object_rise", "label_floor_m")
 """One of each step: openings, seeds, what is taken out again, the last pass."""

@@ -39,7 +39,7 @@ from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
 from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
-from tiler.evaluate import evaluate_labels
+from tiler.apps.evaluate import evaluate_labels
 
 CELL_M = 1.0
 RADII = tuple(float(r) for r in range(1, 19))

@@ -94,11 +94,11 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
 
     from tiler.config import RunConfig
     from tiler.core.lattice import Bounds, Cell
-    from tiler.file_tasks import Inputs, cog_tasks, mosaic_tasks
     from tiler.plan import make_plan
-    from tiler.product_tasks import Gridding, raster_tasks
+    from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks
+    from tiler.stages.raster_tasks import Gridding, raster_tasks
+    from tiler.stages.tasks import Assembled, Source, filter_tasks, label_digests
     from tiler.store import BucketInfo, create_store
-    from tiler.tasks import Assembled, Source, filter_tasks, label_digests
 
     facts: dict[str, Any] = {"buckets": number}
 

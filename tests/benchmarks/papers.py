@@ -29,7 +29,7 @@ from ptd.passes import Points
 from tests.benchmarks.scorecard import GROUND, dtm_rmse_m
 from tests.benchmarks.scorecard_scenes import Cloud, simulated
 from tests.benchmarks.scorecard_text import table
-from tiler.evaluate import IGNORED, evaluate_labels
+from tiler.apps.evaluate import IGNORED, evaluate_labels
 
 LOW_NOISE = 7
 

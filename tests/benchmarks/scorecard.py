@@ -41,7 +41,7 @@ from tests.benchmarks.scorecard_scenes import (
     simulated_scenes,
 )
 from tests.benchmarks.scorecard_text import markdown
-from tiler.evaluate import IGNORED, evaluate_labels
+from tiler.apps.evaluate import IGNORED, evaluate_labels
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 REFERENCE = "classic"

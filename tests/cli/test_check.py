@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cli.main import main
-from tests.tiler.check.rasters import tilted, write_surface
+from tests.tiler.apps.check.rasters import tilted, write_surface
 
 
 @pytest.fixture

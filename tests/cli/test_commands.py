@@ -123,7 +123,7 @@ def test_classify(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 
     failed: list[dict[str, Any]] = []
 
-    monkeypatch.setattr("tiler.classify.classify_file", classify_file)
+    monkeypatch.setattr("tiler.apps.classify.classify_file", classify_file)
     assert main(["classify", "a.las", "b.laz", "--keep-classes", ""]) == 0
     captured = capsys.readouterr()
     assert (captured.out, captured.err) == ("points  7\n", "metres assumed\n")
@@ -183,17 +183,19 @@ def test_scores() -> None:
 
 @pytest.fixture
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
-    """What is asked of `tiler.evaluate`, which is replaced."""
+    """What is asked of `tiler.apps.evaluate`, which is replaced."""
     seen: list[tuple[Any, ...]] = []
 
     def answer(*arguments: Any) -> dict[str, Any]:
         seen.append(arguments)
         return {**SCORES, "classes": {"6": {"points": 10, "labelled_ground": 1, "error": 0.1}}, "scenes": []}
 
-    monkeypatch.setattr("tiler.evaluate.find_scenes", lambda clouds, references: [*clouds, *references])
-    monkeypatch.setattr("tiler.evaluate.evaluate_scenes", answer)
-    monkeypatch.setattr("tiler.evaluate.filter_and_evaluate", answer)
-    monkeypatch.setattr("tiler.evaluate.evaluate_dtm", lambda *arguments: {"unit": "metre", "rmse": None})
+    monkeypatch.setattr("tiler.apps.evaluate.find_scenes", lambda clouds, references: [*clouds, *references])
+    monkeypatch.setattr("tiler.apps.evaluate.evaluate_scenes", answer)
+    monkeypatch.setattr("tiler.apps.evaluate.filter_and_evaluate", answer)
+    monkeypatch.setattr(
+        "tiler.apps.evaluate.evaluate_dtm", lambda *arguments: {"unit": "metre", "rmse": None}
+    )
     monkeypatch.setattr("tiler.schedule.read_apart", lambda work, *arguments, **how: work(*arguments))
     return seen
 
@@ -201,7 +203,7 @@ def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 def test_evaluate_asks_with_the_ignored_classes(
     evaluations: list[tuple[Any, ...]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from tiler.evaluate import IGNORED
+    from tiler.apps.evaluate import IGNORED
 
     assert main(["evaluate", "a.laz", "--reference", "b.laz", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["type_1"] == SCORES["type_1"]
@@ -252,7 +254,7 @@ def test_evaluate_refuses(
 
 def test_the_help_of_evaluate_names_the_classes_that_the_library_ignores() -> None:
     from cli.commands.evaluate import command
-    from tiler.evaluate import IGNORED
+    from tiler.apps.evaluate import IGNORED
 
     told = next(p for p in command.params if p.name == "ignore").help  # type: ignore[attr-defined]
     assert ",".join(str(c) for c in IGNORED) in told

@@ -94,12 +94,12 @@ def waiting(folder: Path) -> subprocess.Popen[str]:
     (folder / "waiting.py").write_text(
         "import sys, time\n"
         "from unittest import mock\n"
-        "import tiler.info\n"
+        "import tiler.apps.info\n"
         "from cli.main import main\n"
         "def wait(path):\n"
         "    print('ready', flush=True)\n"
         "    time.sleep(900)\n"
-        "with mock.patch('tiler.info.describe', wait):\n"
+        "with mock.patch('tiler.apps.info.describe', wait):\n"
         "    sys.exit(main(['info', 'x']))\n"
     )
     process = subprocess.Popen(
@@ -181,7 +181,7 @@ def test_without_a_command_help_and_2(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    from tiler import __version__
+    from tiler.version import __version__
 
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"tiler, version {__version__}\n"
@@ -233,7 +233,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_only_a_run_imports_dask() -> None:
-    script = "import sys, tiler.classify, tiler.info, tiler.pipeline; print('distributed' in sys.modules)"
+    script = "import sys, tiler.apps.classify, tiler.apps.info, tiler.pipeline; print('distributed' in sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
     )

@@ -99,7 +99,7 @@ class Cluster:
 
 
 def blind(token: str) -> bool:
-    """Instead of `tiler.access.sees`: a worker that sees no folder of the client."""
+    """Instead of `tiler.runs.cluster_check.sees`: a worker that sees no folder of the client."""
     return False
 
 

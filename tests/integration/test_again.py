@@ -62,10 +62,10 @@ def test_verify_finds_nothing_where_nothing_changed(out: Path, demo: DemoScene) 
 def test_advice_on_the_terrain_is_given_again(
     out: Path, demo: DemoScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.rasters.roofs_in_terrain", lambda *_: "a roof")
+    monkeypatch.setattr("tiler.stages.grid.roofs_in_terrain", lambda *_: "a roof")
     assert again(demo, out, parameters={"max_building_size": "19"})["grid-dtm"]
     monkeypatch.undo()
-    monkeypatch.setattr("tiler.rasters.roofs_in_terrain", lambda *_: pytest.fail("looked again"))
+    monkeypatch.setattr("tiler.stages.grid.roofs_in_terrain", lambda *_: pytest.fail("looked again"))
     options = {"parameters": {"max_building_size": "19"}, "products": "dtm,slope", "tile_size": "128"}
     assert do(list(demo.paths), out, **options).summary["advice"] == ["a roof"]
 
@@ -224,7 +224,7 @@ def test_a_tile_that_fails_leaves_no_old_labels(
             raise ProcessingError("this tile fails")
         return filter_tile(store_url, arguments)
 
-    monkeypatch.setattr("tiler.tasks.filter_tile", work)
+    monkeypatch.setattr("tiler.stages.tasks.filter_tile", work)
     # Kernels and neighbours are sound: the run goes on, says so, and knows nothing of the tile.
     result = do(list(demo.paths), out, parameters={"iteration_distance": "1.39"})
     assert result.exit_code == 5
@@ -248,7 +248,7 @@ def test_a_tile_that_fails_stops_a_strict_run(
     def work(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
         raise ZeroDivisionError("no tile succeeds")
 
-    monkeypatch.setattr("tiler.tasks.filter_tile", work)
+    monkeypatch.setattr("tiler.stages.tasks.filter_tile", work)
     with pytest.raises(ProcessingError, match="ZeroDivisionError: no tile succeeds .*--on-error skip"):
         do(list(demo.paths[:1]), tmp_path / "out", on_error="stop")
     with pytest.raises(ProcessingError, match=r"^no tile could be filtered; the first: ZeroDivisionError"):

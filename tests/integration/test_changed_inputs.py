@@ -14,11 +14,12 @@ import pytest
 
 from tests.invariants import clouds
 from tests.invariants.runs import do, settings
-from tiler import classify, identity, tasks
+from tiler.apps import classify
 from tiler.errors import InputError
 from tiler.export import write_classified
 from tiler.ingest import spool_piece
-from tiler.las.reader import PointReader
+from tiler.io.las.reader import PointReader
+from tiler.stages import fingerprints, tasks
 
 CHANGED = "was replaced or written to while the run went on"
 Work = Callable[[str, dict[str, Any]], dict[str, Any]]
@@ -129,8 +130,8 @@ def test_replaced_while_its_digest_is_made(
     files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     good, path, other = files
-    work = before_the_first(identity.read_files, lambda: by_name(path, other))
-    monkeypatch.setattr(identity, "read_files", work)
+    work = before_the_first(fingerprints.read_files, lambda: by_name(path, other))
+    monkeypatch.setattr(fingerprints, "read_files", work)
     result = do([good, path], tmp_path / "out")
     assert [q["path"] for q in result.summary["quarantined"]] == [str(path)]
     assert result.exit_code == 5
@@ -167,7 +168,7 @@ def test_an_empty_file_and_one_that_went_away(
     path = files[1]
     empty = clouds.write(tmp_path / "in" / "empty.las", clouds.city(96.0).take(np.zeros(0, np.intp)))
     for name, module, work in (
-        ("read_files", identity, identity.read_files),
+        ("read_files", fingerprints, fingerprints.read_files),
         ("spool_piece", tasks, spool_piece),
     ):
         aside = tmp_path / "aside.las"

@@ -9,7 +9,7 @@ import pytest
 
 from tests.invariants import clouds
 from tests.invariants.runs import computed, do, output_digests, the_store
-from tiler.clean import clean
+from tiler.apps.clean import clean
 from tiler.errors import ConfigError, LockedError, StoreError
 from tiler.store import locked_folder
 

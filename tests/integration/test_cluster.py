@@ -15,7 +15,7 @@ from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command,
 from tests.integration.test_interrupt import wait_for
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
-from tiler import __version__
+from tiler.version import __version__
 
 pytestmark = pytest.mark.slow
 
@@ -160,7 +160,7 @@ def test_workers_that_see_no_folder_of_the_client(
     """The command writes the files itself."""
     cluster.worker()
     cluster.wait_for(1)
-    monkeypatch.setattr("tiler.access.sees", blind)
+    monkeypatch.setattr("tiler.runs.cluster_check.sees", blind)
     out = tmp_path / "out"
     changes = {"store": f"s3://{BUCKET}/blind", "scheduler": cluster.address, "in_process": False}
     result = do([f"s3://{BUCKET}/clouds"], out, **changes)  # type: ignore[list-item]

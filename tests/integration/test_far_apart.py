@@ -12,10 +12,10 @@ import pytest
 import rasterio
 
 from tests.invariants.runs import do, dtm, the_store
-from tiler.check import TileEdges, seam_steps
+from tiler.apps.check import TileEdges, seam_steps
+from tiler.apps.evaluate.heights import evaluate_dtm
+from tiler.apps.info import describe_raster
 from tiler.errors import ConfigError, InputError
-from tiler.evaluate.heights import evaluate_dtm
-from tiler.info import describe_raster
 from tiler.store import TileStore
 
 

@@ -21,7 +21,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     def here(guard: Any, function: Any, *arguments: Any, **named: Any) -> Any:
         return function(*arguments, **named)
 
-    for module in ("tiler.preview", "tiler.classify"):
+    for module in ("tiler.apps.preview", "tiler.apps.classify"):
         monkeypatch.setattr(f"{module}.read_guarded", here)
     for module in ("classify", "preview", "evaluate"):
         command = f"cli.commands.{module}.read_config"

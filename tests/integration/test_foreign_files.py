@@ -13,8 +13,8 @@ from tests.invariants import clouds
 from tests.invariants.forked import ended, forked
 from tests.invariants.runs import do, settings
 from tiler.errors import ConfigError, ProcessingError
+from tiler.io.locations import cloud_path, is_scratch, partial_path
 from tiler.pipeline import run
-from tiler.places import cloud_path, is_scratch, partial_path
 
 NAMES = ("dtm.tif", "run.json", "events.jsonl", "report.html", "classified/hill.laz")
 
@@ -107,22 +107,22 @@ def test_a_product_that_came_between_two_runs_is_the_users(cloud: Path, tmp_path
 def test_a_file_that_comes_while_the_run_goes_on_is_not_replaced(
     cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tiler import rasters
+    from tiler.stages import export
 
-    out, export = tmp_path / "out", rasters.cog_tasks
+    out, cog_tasks = tmp_path / "out", export.cog_tasks
 
     def meanwhile(*arguments: Any) -> Any:
         put(out, "dtm.tif")
-        return export(*arguments)
+        return cog_tasks(*arguments)
 
-    monkeypatch.setattr(rasters, "cog_tasks", meanwhile)
+    monkeypatch.setattr(export, "cog_tasks", meanwhile)
     with pytest.raises(ConfigError, match="dtm.tif: there already"):
         do(cloud, out)
     assert (out / "dtm.tif").read_bytes() == b"mine, not a run's"
 
 
-@pytest.mark.parametrize("where", ["tiler.job.write_run_file", "tiler.export.cog._publish",
-                                   "tiler.export.classified._write_back", "tiler.rasters._basis"])  # fmt: skip
+@pytest.mark.parametrize("where", ["tiler.runs.job.write_run_file", "tiler.export.cog._publish",
+                                   "tiler.export.classified._write_back", "tiler.stages.export._basis"])  # fmt: skip
 def test_a_killed_run_knows_its_own_files(where: str, cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert ended(forked(killed_at, where, cloud, out)) == 9

@@ -10,8 +10,8 @@ import pytest
 
 from tests.invariants import clouds
 from tests.invariants.runs import do
-from tiler import file_tasks, tasks
 from tiler.errors import ProcessingError
+from tiler.stages import file_tasks, tasks
 
 WORKS = {
     "spool_piece": tasks, "assemble_buckets": tasks, "filter_tile": tasks, "grid_block": tasks, "write_cog": file_tasks,

@@ -17,11 +17,11 @@ pytest.importorskip("aiohttp", reason="no http: aiohttp is not installed")
 from tests.invariants import clouds
 from tests.invariants.runs import dtm, settings
 from tests.tiler.servers import ftp_server, http_server
-from tiler import tasks
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import inspect, spool_piece
+from tiler.io.locations import cloud_path, list_clouds, location, state_of
 from tiler.pipeline import RunResult, run
-from tiler.places import cloud_path, list_clouds, location, state_of
+from tiler.stages import tasks
 
 SUFFIXES = (".las", ".laz")
 

@@ -15,7 +15,7 @@ from ptd.matched.passes import MatchedPass
 from ptd.methods.auto.method import Auto
 from tests.integration.command import tiler
 from tests.invariants.runs import output_digests
-from tiler.evaluate import evaluate_dtm, evaluate_files
+from tiler.apps.evaluate import evaluate_dtm, evaluate_files
 from tiler.pipeline import RunResult
 from tiler.simulate import DemoScene
 

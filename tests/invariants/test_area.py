@@ -12,7 +12,7 @@ import rasterio
 
 from tests.invariants.clouds import CORNER
 from tests.invariants.runs import computed, do, output_digests
-from tests.tiler.vector.files import collection
+from tests.tiler.io.vector.files import collection
 from tiler.core.area import Area
 from tiler.core.products import PRODUCTS
 

@@ -15,7 +15,7 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import block_heights
 from tiler.plan import make_plan
-from tiler.tasks import Assembled, grid_tasks, label_digests, raster_spec
+from tiler.stages.tasks import Assembled, grid_tasks, label_digests, raster_spec
 
 SIZES = st.fractions(min_value=Fraction(1, 3), max_value=3000, max_denominator=400)
 COUNTS = st.integers(-(10**7), 10**7)

@@ -108,7 +108,7 @@ def test_order_frame_and_rows_do_not_show(
         for c in layout.COLUMNS
     )
     monkeypatch.setattr(layout, "COLUMNS", columns)
-    monkeypatch.setattr("tiler.tasks.held_bytes", lambda memory: 20_000)
+    monkeypatch.setattr("tiler.stages.tasks.held_bytes", lambda memory: 20_000)
     monkeypatch.setattr("tiler.plan.sizes.origin_of", lambda extent: (499_876_543, 5_400_000_077))
     order = np.random.default_rng(0).permutation(len(cloud))
     path = clouds.write(tmp_path / "shuffled.laz", cloud.take(order), classes=classes[order])

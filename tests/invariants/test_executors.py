@@ -66,7 +66,7 @@ SLOW: dict[str, Callable[[], Executor]] = {
 def test_every_executor_gives_the_same_bytes(
     name: str, quarter_files: list[Path], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.crew.make_executor", lambda *_: (EXECUTORS | SLOW)[name]())
+    monkeypatch.setattr("tiler.runs.executors.make_executor", lambda *_: (EXECUTORS | SLOW)[name]())
     result = do(quarter_files, tmp_path / "out")
     assert result.exit_code == 0
     assert output_digests(tmp_path / "out") == output_digests(finished)

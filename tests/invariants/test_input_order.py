@@ -46,7 +46,9 @@ def test_shuffled_points_in_files_without_sense(
 def test_pieces_of_a_file_change_nothing(
     city: Cloud, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.tasks.PIECE_POINTS", 5_000)  # of LAS: pieces of LAZ are whole chunks of 50,000
+    monkeypatch.setattr(
+        "tiler.stages.tasks.PIECE_POINTS", 5_000
+    )  # of LAS: pieces of LAZ are whole chunks of 50,000
     result = do(clouds.write(tmp_path / "city.las", city), tmp_path / "out")
     assert result.summary["stages"]["spool"]["tasks"] > 1
     assert_same_terrain(tmp_path / "out", finished)

@@ -20,7 +20,7 @@ Y_AFTER_BOUNDS, Y_AFTER_OFFSET = 16, 8
 RUN = """
 import json, sys
 from tiler.config import RunConfig
-from tiler.perform import peak_rss_bytes
+from tiler.runs.worker import peak_rss_bytes
 from tiler.pipeline import run
 config = RunConfig.from_mapping({"workers": 1, "method": "classic", "resolution": "1"})
 summary = run([sys.argv[1]], sys.argv[2], config).summary

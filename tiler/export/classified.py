@@ -21,13 +21,13 @@ from tiler.core.area import Area
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
-from tiler.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
-from tiler.las.headers import LasHeader
-from tiler.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
-from tiler.las.records import VariableRecord
-from tiler.las.unchanged import refuse_changed, unchanged
-from tiler.las.writer import PointWriter, laszip_vlr
-from tiler.places import cloud_path, digest_of_file, folder_for, open_cloud, partial_path, state_of
+from tiler.io.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
+from tiler.io.las.headers import LasHeader
+from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
+from tiler.io.las.records import VariableRecord
+from tiler.io.las.unchanged import refuse_changed, unchanged
+from tiler.io.las.writer import PointWriter, laszip_vlr
+from tiler.io.locations import cloud_path, digest_of_file, folder_for, open_cloud, partial_path, state_of
 from tiler.store import TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27
@@ -56,7 +56,7 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     -------
     dict
         ``points``, ``changed`` (points of another class), ``classes`` (class to points, afterwards),
-        ``bytes``, ``digest`` (of all bytes), ``state`` (see `tiler.places.State`), ``notes`` (list of str).
+        ``bytes``, ``digest`` (of all bytes), ``state`` (see `tiler.io.locations.State`), ``notes`` (list of str).
 
     Raises
     ------

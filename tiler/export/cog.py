@@ -25,7 +25,7 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.geotiff import CACHE_MB, TILE, RasterLook, plain_geotiff, raster_errors
-from tiler.places import cloud_path, digest_of_file, folder_for, joined, partial_path, state_of
+from tiler.io.locations import cloud_path, digest_of_file, folder_for, joined, partial_path, state_of
 from tiler.store import TileStore, open_store
 
 
@@ -87,7 +87,7 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a `tiler.places.State`),
+        ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a `tiler.io.locations.State`),
         ``pixels``, ``valid``, and ``min``, ``max``, ``mean`` (None without a valid pixel).
 
     Raises

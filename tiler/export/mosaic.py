@@ -17,7 +17,7 @@ from tiler.core.raster import RasterSpec
 from tiler.errors import ProcessingError
 from tiler.export.cog import raster_look
 from tiler.export.geotiff import TILE, RasterLook, raster_errors
-from tiler.places import appearing, cloud_path, digest_of_file, folder_for, joined, state_of
+from tiler.io.locations import appearing, cloud_path, digest_of_file, folder_for, joined, state_of
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}

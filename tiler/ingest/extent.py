@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tiler.config.parsing import FARTHEST
 from tiler.errors import InputError
 from tiler.ingest.patches import Patch, find_patches
-from tiler.las.columns import returns
-from tiler.las.headers import LasHeader
-from tiler.las.reader import COORDINATES, PointReader, Records, rows_at_once
-from tiler.values import FARTHEST
+from tiler.io.las.columns import returns
+from tiler.io.las.headers import LasHeader
+from tiler.io.las.reader import COORDINATES, PointReader, Records, rows_at_once
 
 _PLACES = 16
 _SAMPLE = 2048

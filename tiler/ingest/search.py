@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from tiler.errors import ConfigError, InputError
-from tiler.places import SCRATCH_PREFIX, cloud_path, is_url, list_clouds
-from tiler.results import ASIDE, CLASSIFIED, is_results
+from tiler.io.locations import SCRATCH_PREFIX, cloud_path, is_url, list_clouds
+from tiler.io.result_folder import ASIDE, CLASSIFIED, is_results
 
 SUFFIXES = (".las", ".laz")
 

@@ -14,11 +14,11 @@ from tiler.errors import InputError
 from tiler.ingest.extent import find_extent
 from tiler.ingest.georeference import Georeference, georeference
 from tiler.ingest.patches import Patch
-from tiler.las.columns import RGB_FORMATS
-from tiler.las.headers import read_header
-from tiler.las.laz import LazLayout
-from tiler.las.reader import count_decodable, rows_at_once
-from tiler.places import State, stat_cloud
+from tiler.io.las.columns import RGB_FORMATS
+from tiler.io.las.headers import read_header
+from tiler.io.las.laz import LazLayout
+from tiler.io.las.reader import count_decodable, rows_at_once
+from tiler.io.locations import State, stat_cloud
 from tiler.schedule.guard import Died, Guard
 
 Read = TypeVar("Read")

@@ -12,11 +12,11 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
 from tiler.ingest.requantise import fits_int32, to_counts
-from tiler.las.columns import class_and_flags, colours, returns
-from tiler.las.headers import LasHeader
-from tiler.las.reader import NEEDED, PointReader, Records
-from tiler.las.unchanged import unchanged
-from tiler.places import cloud_path
+from tiler.io.las.columns import class_and_flags, colours, returns
+from tiler.io.las.headers import LasHeader
+from tiler.io.las.reader import NEEDED, PointReader, Records
+from tiler.io.las.unchanged import unchanged
+from tiler.io.locations import cloud_path
 from tiler.store import open_store
 
 NOT_FINITE = "not finite"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from tiler.shown import stored
+from tiler.redaction import stored
 
 Listener = Callable[[str, dict[str, Any]], None]
 """Called with the event's name and JSON-able fields.

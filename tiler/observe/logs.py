@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 
-from tiler.shown import shown
+from tiler.redaction import shown
 
 _LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
 _OWN_LOGGERS = ("tiler", "ptd", "cli")

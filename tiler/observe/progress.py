@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import IO, Any
 
 from tiler.observe.events import Listener
-from tiler.shown import shown
+from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
 TOLD_BY_FILE = "spool"

@@ -12,16 +12,16 @@ from pyproj.enums import TransformDirection
 from pyproj.exceptions import ProjError
 
 from tiler.config import RunConfig
+from tiler.config.parsing import FARTHEST
 from tiler.core.area import Area, shortened
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import SourceInfo, bounds_in_counts, same_horizontal, split
-from tiler.jsontext import excerpt
+from tiler.io.json_text import excerpt
+from tiler.io.vector import read_polygons
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
 from tiler.schedule import read_apart
-from tiler.values import FARTHEST
-from tiler.vector import read_polygons
 
 MOST_HALVINGS = 12
 """How often an edge is halved at most, where it bends on its way into another CRS."""

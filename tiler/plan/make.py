@@ -15,15 +15,14 @@ import psutil
 from ptd.methods import METHODS, make_params
 from ptd.params import to_json
 from ptd.passes import Pass
-from tiler import advice
 from tiler.config import RunConfig
 from tiler.core.area import Area
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded
-from tiler.places import cloud_path, is_url
-from tiler.plan import sizes
+from tiler.io.locations import cloud_path, is_url
+from tiler.plan import advice, sizes
 from tiler.plan.area import area_of, part_of
 from tiler.plan.crowd import Crowd
 from tiler.plan.disk import emptiness_warning, too_much_between

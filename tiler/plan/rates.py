@@ -10,9 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tiler import __version__
-from tiler.jsontext import read_object
+from tiler.io.json_text import read_object
 from tiler.plan.model import Plan
+from tiler.version import __version__
 
 TYPICAL = {"spool": 0.9, "assemble": 0.7, "filter": 1.0, "grid": 0.7, "export": 0.7}
 """Worker seconds a million points where nothing is known of a stage; measured on a city, other machines differ."""

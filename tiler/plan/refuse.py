@@ -15,11 +15,11 @@ from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import ConfigError
 from tiler.ingest import SourceInfo
-from tiler.places import joined
+from tiler.io.locations import joined
+from tiler.io.overwrite_check import Target, check_folder, check_targets
+from tiler.io.result_folder import ASIDE, CLASSIFIED, EVENTS, REPORT, RUN, STORE, folder_here, foreign_files
 from tiler.plan.disk import free_bytes, needed_bytes
 from tiler.plan.model import KEEP, Plan
-from tiler.results import ASIDE, CLASSIFIED, EVENTS, REPORT, RUN, STORE, folder_here, foreign_files
-from tiler.targets import Target, check_folder, check_targets
 
 MAX_DENOMINATOR = 511
 """Largest denominator of a pixel's side in counts with which gridding is exact in int64."""

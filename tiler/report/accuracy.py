@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import refused_write
-from tiler.jsontext import read_object
+from tiler.io.json_text import read_object
+from tiler.redaction import shown
 from tiler.report.document import Content, Node, el, facts, table
-from tiler.shown import shown
 
 CHECK, EVALUATION = "check.json", "evaluate.json"
 """Names in OUT under which ``--json`` of `tiler check` and `tiler evaluate` are looked for."""

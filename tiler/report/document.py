@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 from xml.etree import ElementTree
 
-from tiler.shown import shown
+from tiler.redaction import shown
 
 Node = ElementTree.Element
 Content = Node | str | None

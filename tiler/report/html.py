@@ -12,13 +12,13 @@ from rasterio.errors import RasterioError
 
 from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, refused_write
-from tiler.jsontext import read_object
-from tiler.places import joined, partial_path, state_at
+from tiler.io.json_text import read_object
+from tiler.io.locations import joined, partial_path, state_at
+from tiler.io.result_folder import REPORT
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import Node, el, section
 from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
-from tiler.results import REPORT
 
 
 def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str | None = None) -> Path:

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from tiler.jsontext import read_object
+from tiler.io.json_text import read_object
+from tiler.redaction import shown
 from tiler.report.accuracy import checkpoints_on_map
 from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
-from tiler.shown import shown
 
 MOST_TILES = 20_000
 """On the map, of all stages together: a page of 5 MB holds no more. Stages that do not fit are left out whole."""
@@ -66,7 +66,7 @@ def map_data(
         The content of run.json, with the times of `with_earlier_times`.
     pictures : Pictures or None
     accuracy : mapping
-        A check as `tiler.check` gives it, under ``accuracy`` what it found at checkpoints; may be empty.
+        A check as `tiler.apps.check` gives it, under ``accuracy`` what it found at checkpoints; may be empty.
     """
     return {
         "extent": pictures.extent if pictures else _extent(run),

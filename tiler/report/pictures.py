@@ -21,7 +21,7 @@ from rasterio.enums import Resampling
 from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
 from tiler.export.picture import palette_png_bytes
 from tiler.grid.shape import multidirectional_hillshade
-from tiler.places import is_url
+from tiler.io.locations import is_url
 
 LONGER_SIDE = 1600
 """Pixels of a picture at most."""

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError, refused_write
-from tiler.jsontext import read_object
-from tiler.places import partial_path
-from tiler.results import RUN
+from tiler.io.json_text import read_object
+from tiler.io.locations import partial_path
+from tiler.io.result_folder import RUN
 
 
 def write_run_file(out: Path, content: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import psutil
 
 from tiler.errors import InputError
-from tiler.places import stat_cloud
+from tiler.io.locations import stat_cloud
 from tiler.schedule.guard import MEMORY_BYTES, Died, Guard
 
 Result = TypeVar("Result")

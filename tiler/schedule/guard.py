@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import IO, Any, TypeVar
 
 from tiler.errors import TilerError
-from tiler.imports import trusted_path
+from tiler.import_path import trusted_path
 
 Result = TypeVar("Result")
 

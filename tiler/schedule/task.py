@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from tiler.shown import stored
+from tiler.redaction import stored
 
 Work = Callable[[str, dict[str, Any]], dict[str, Any]]
 """``work(store_url, arguments) -> record``: a module-level function (it travels by name); both JSON-able."""

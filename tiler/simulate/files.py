@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from tiler.errors import ConfigError, ProcessingError
+from tiler.io.locations import partial_path
 from tiler.observe.events import Listener, silent
-from tiler.places import partial_path
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
 from tiler.simulate.cloud import CloudWriter, write_dtm
 from tiler.simulate.points import CLASS_NAMES, patches, survey_patch

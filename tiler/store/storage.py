@@ -24,8 +24,8 @@ from zarr.core.sync import sync
 from zarr.storage import FsspecStore, LocalStore
 
 from tiler.errors import ConfigError, ProcessingError, StoreError, refused_write
-from tiler.places import refuse_unescaped
-from tiler.shown import stored
+from tiler.io.locations import refuse_unescaped
+from tiler.redaction import stored
 from tiler.store import layout
 
 # Parallelism is over processes: one thread decodes here. The requests of one read still overlap, which is

@@ -14,8 +14,8 @@ from tiler.core.points import PointBlock, pack_origin
 from tiler.errors import InputError, ProcessingError
 from tiler.export import classified
 from tiler.export.classified import write_classified
-from tiler.las.headers import LasHeader, read_header, read_payload
-from tiler.las.reader import EVERYTHING, PointReader
+from tiler.io.las.headers import LasHeader, read_header, read_payload
+from tiler.io.las.reader import EVERYTHING, PointReader
 
 ALL_FORMATS = [
     (f, v) for f in range(11) for v in ("1.2", "1.3", "1.4") if f <= {"1.2": 3, "1.3": 5, "1.4": 10}[v]

@@ -14,9 +14,9 @@ from tiler.core.frame import CoordFrame
 from tiler.errors import InputError
 from tiler.ingest import inspect, pieces
 from tiler.ingest.spool import columns, place
-from tiler.las.headers import read_header
-from tiler.las.reader import EVERYTHING, PointReader
-from tiler.perform import peak_rss_bytes
+from tiler.io.las.headers import read_header
+from tiler.io.las.reader import EVERYTHING, PointReader
+from tiler.runs.worker import peak_rss_bytes
 
 FIELDS = {
     "encoding": (6, "H"), "minor": (25, "B"), "header size": (94, "H"), "points offset": (96, "I"),

@@ -12,7 +12,8 @@ from pyproj import CRS
 from tiler.config import RunConfig
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
 from tiler.errors import ConfigError, InputError
-from tiler.ingest.georeference import agree, same_horizontal
+from tiler.ingest.common_crs import agree
+from tiler.ingest.georeference import same_horizontal
 from tiler.ingest.sources import SourceInfo, inspect
 
 

@@ -14,7 +14,7 @@ import pytest
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import find_inputs, inspect
-from tiler.places import cloud_path
+from tiler.io.locations import cloud_path
 from tiler.plan import make_plan, output_names
 
 

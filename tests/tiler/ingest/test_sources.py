@@ -11,11 +11,11 @@ import pytest
 
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
-from tiler.ingest.georeference import agree
+from tiler.ingest.common_crs import agree
 from tiler.ingest.search import find_inputs
 from tiler.ingest.sources import inspect, pieces
-from tiler.las.headers import read_header
-from tiler.las.reader import EVERYTHING, PointReader
+from tiler.io.las.headers import read_header
+from tiler.io.las.reader import EVERYTHING, PointReader
 
 GOOD: dict[str, tuple[int, str | None]] = {
     "1.0_0.las": (1, None),

@@ -11,7 +11,7 @@ import pytest
 from pyproj import CRS, Transformer
 
 from cli.main import main
-from tests.tiler.vector.files import collection, geopackage, polygon_wkb, shapefile
+from tests.tiler.io.vector.files import collection, geopackage, polygon_wkb, shapefile
 from tiler.config import RunConfig
 from tiler.core.lattice import Bounds
 from tiler.errors import ConfigError, InputError, TilerError

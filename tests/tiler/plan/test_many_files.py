@@ -9,7 +9,7 @@ import pytest
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
 from tiler.errors import InputError
-from tiler.places import cloud_path
+from tiler.io.locations import cloud_path
 from tiler.plan import make_plan, plan_json
 from tiler.plan.make import FAR_READERS, FILES_OF_A_READER, _readers
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.tiler.check.rasters import tilted, write_surface
+from tests.tiler.apps.check.rasters import tilted, write_surface
 from tests.tiler.junk import spoilt
 from tests.tiler.report import results
-from tiler.check import Checkpoints, PointOptions, check_dtm, judge, parse_requirements
+from tiler.apps.check import Checkpoints, PointOptions, check_dtm, judge, parse_requirements
+from tiler.apps.info import describe
 from tiler.errors import ConfigError, InputError
-from tiler.info import describe
 from tiler.report import earlier_statistics
 from tiler.report.html import write_report
 

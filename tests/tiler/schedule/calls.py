@@ -91,7 +91,7 @@ def stumble() -> NoReturn:
 
 
 def perform(store_url: str, task: Task) -> Outcome:
-    """As `tiler.perform.perform`, with no store."""
+    """As `tiler.runs.worker.perform`, with no store."""
     try:
         return Outcome(task, task.work(store_url, task.arguments))
     except InputError as error:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from tiler.evaluate import evaluate_files
+from tiler.apps.evaluate import evaluate_files
 from tiler.simulate import AlsSensor, DemoScene, demo_city
 
 

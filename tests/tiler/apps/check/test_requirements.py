@@ -1,0 +1,61 @@
+"""Limits with units, and figures that were not measured."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import pytest
+
+from tiler.apps.check import METRICS, Requirement, judge, parse_requirements
+from tiler.errors import ConfigError
+
+
+def report(**nva: Any) -> dict[str, Any]:
+    figures = {"rmse_v": 0.5, "bias": -0.2, "median": 0.1, "nmad": 0.1, "p95_abs": 1.0, "max_abs": 2.0}
+    accuracy = {"metres_per_unit": 0.3048, "nva": {**figures, "points": 30, "outliers": 2, **nva}}
+    return {"accuracy": accuracy, "seams": {"metres_per_unit": 1.0, "excess": 0.001}}
+
+
+def test_lengths_have_units() -> None:
+    assert parse_requirements(["rmse=0.1", "mean=2cm", "max=1ft", "points=30"]) == [
+        Requirement("rmse", Fraction(1, 10)), Requirement("mean", Fraction(1, 50)),
+        Requirement("max", Fraction(3048, 10_000)), Requirement("points", Fraction(30)),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "met"),
+    [
+        ("rmse=0.5ft", 0.1524, True), ("rmse=0.15", 0.1524, False), ("mean=0.21ft", 0.06096, True),
+        ("mean=0.06", 0.06096, False), ("max=0.6", 0.6096, False), ("points=30", 30, True), ("points=31", 30, False),
+        ("outliers=1", 2, False), ("outliers=2", 2, True), ("seam=0.001", 0.001, True),
+    ],
+)  # fmt: skip
+def test_figures_are_held_against_limits(text: str, value: float, met: bool) -> None:
+    (judged,) = judge(parse_requirements([text]), report())
+    assert (judged["value"], judged["met"]) == (pytest.approx(value), met)
+
+
+def test_what_has_no_figure_is_not_met() -> None:
+    (judged,) = judge(parse_requirements(["rmse=1"]), report(rmse_v=None))
+    assert (judged["value"], judged["met"]) == (None, False)
+
+
+def test_vegetated_points_are_never_judged() -> None:
+    assert not any("vva" in name for name in METRICS)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("rmse", "write NAME=VALUE"), ("vva=0.1", "write NAME=VALUE"), ("points=2.5", "no number of points"),
+     ("rmse=high", "no length")],
+)  # fmt: skip
+def test_what_cannot_be_required(text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_requirements([text])
+
+
+def test_what_was_not_asked_for_cannot_be_required() -> None:
+    with pytest.raises(ConfigError, match="--require strips: is not measured without --strips"):
+        judge(parse_requirements(["strips=0.1"]), report())

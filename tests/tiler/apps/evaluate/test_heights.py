@@ -1,0 +1,111 @@
+"""A DTM against its truth, worked out by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from tiler.apps.evaluate import evaluate_dtm, heights
+from tiler.errors import ConfigError, InputError
+from tiler.export.geotiff import RasterLook, plain_geotiff
+
+
+def raster(
+    path: Path,
+    heights: np.ndarray,
+    west: float = 0.0,
+    north: float = 0.0,
+    size: float = 1.0,
+    crs: str | None = None,
+    unit: str = "metre",
+) -> Path:
+    with plain_geotiff(
+        path, *heights.shape, (size, 0, west, 0, -size, north), RasterLook(crs, unit, "z", {})
+    ) as out:
+        out.write(heights.astype(np.float32), 0, 0)
+    return path
+
+
+def test_a_dtm_against_its_truth(tmp_path):
+    truth = np.arange(12.0).reshape(3, 4)
+    mine = truth + np.array([[1, -1, 1, -1], [3, 1, 1, 1], [1, 1, 1, 1]])
+    mine[2, 3] = -9999
+    truth[0, 0] = -9999
+    result = evaluate_dtm(raster(tmp_path / "a.tif", mine, 10, 20), raster(tmp_path / "b.tif", truth, 10, 20))
+    difference = np.array([-1, 1, -1, 3, 1, 1, 1, 1, 1, 1])
+    assert (result["pixels"], result["only_dtm"], result["only_truth"]) == (10, 1, 1)
+    assert result["bias"] == pytest.approx(0.8)
+    assert result["rmse"] == pytest.approx(np.sqrt(np.mean(difference**2)))
+    assert (result["median"], result["nmad"], result["max_abs"]) == (1.0, 0.0, 3.0)
+
+
+def test_rasters_of_other_extents_are_compared_where_they_overlap(tmp_path):
+    truth = np.arange(100.0).reshape(10, 10)
+    result = evaluate_dtm(
+        raster(tmp_path / "a.tif", truth[2:7, 3:9] + 0.5, 103, 198),
+        raster(tmp_path / "b.tif", truth, 100, 200),
+    )
+    assert (result["pixels"], result["rmse"], result["nmad"]) == (30, 0.5, 0.0)
+    wider = evaluate_dtm(
+        raster(tmp_path / "c.tif", truth, 100, 200), raster(tmp_path / "d.tif", truth[2:7, 3:9], 103, 198)
+    )
+    assert (wider["pixels"], wider["rmse"]) == (30, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("west", "size", "message"),
+    [(0.5, 1.0, "one pixel lattice"), (0.0, 2.0, "one pixel lattice"), (50.0, 1.0, "do not overlap")],
+)
+def test_rasters_that_cannot_be_compared_are_refused(tmp_path, west, size, message):
+    one = raster(tmp_path / "a.tif", np.ones((4, 4)), 0, 4)
+    with pytest.raises(ConfigError, match=message):
+        evaluate_dtm(one, raster(tmp_path / "b.tif", np.ones((4, 4)), west, 4, size))
+
+
+def test_what_is_no_raster_is_refused(tmp_path):
+    (tmp_path / "a.tif").write_text("no raster")
+    with pytest.raises(InputError, match="name a readable raster"):
+        evaluate_dtm(tmp_path / "a.tif", tmp_path / "a.tif")
+
+
+def test_what_the_dtm_lacks_of_the_truth_is_not_covered(tmp_path):
+    truth = np.ones((10, 10))
+    result = evaluate_dtm(
+        raster(tmp_path / "a.tif", truth[:5, :8], 103, 200), raster(tmp_path / "b.tif", truth, 100, 200)
+    )
+    assert (result["pixels"], result["only_truth"], result["only_dtm"]) == (35, 65, 0)
+    assert result["coverage"] == 0.35
+
+
+def test_blocks_change_nothing(tmp_path, monkeypatch):
+    rng = np.random.default_rng(3)
+    truth = rng.normal(0, 5, (70, 50))
+    mine = truth[10:, 7:] + rng.normal(0.1, 0.3, (60, 43))
+    mine[rng.random(mine.shape) < 0.1] = -9999
+    paths = raster(tmp_path / "a.tif", mine, 7, 60), raster(tmp_path / "b.tif", truth, 0, 70)
+    whole = evaluate_dtm(*paths)
+    monkeypatch.setattr(heights, "BLOCK", 16)
+    parts = evaluate_dtm(*paths, difference=tmp_path / "d.tif")
+    assert (parts.pop("unit"), whole.pop("unit")) == ("metre", "metre")
+    assert parts == pytest.approx(whole, rel=1e-12)
+    with rasterio.open(tmp_path / "d.tif") as raster_:
+        difference = raster_.read(1, masked=True).compressed()
+    assert difference.size == whole["pixels"]
+    assert np.sqrt(np.mean(difference.astype(float) ** 2)) == pytest.approx(whole["rmse"], rel=1e-6)
+    assert np.median(difference) == pytest.approx(whole["median"], abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"crs": "EPSG:25833"}, "bring both into one CRS"),
+        ({"unit": "foot"}, "are in foot, those of .* in metre"),
+    ],
+)
+def test_other_systems_are_refused(tmp_path, change, message):
+    one = raster(tmp_path / "a.tif", np.ones((4, 4)), 0, 4, **{"crs": "EPSG:25832", **change})
+    with pytest.raises(ConfigError, match=message):
+        evaluate_dtm(one, raster(tmp_path / "b.tif", np.ones((4, 4)), 0, 4, crs="EPSG:25832"))

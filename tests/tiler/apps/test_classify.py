@@ -1,0 +1,85 @@
+"""One file to one file: what is refused before anything is read twice, and tiles that fail are named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import laspy
+import pytest
+
+from cli.main import main
+from tests.invariants import clouds
+from tests.invariants.runs import settings
+from tiler.apps.classify import classify_file
+from tiler.apps.evaluate import filter_and_evaluate
+from tiler.apps.preview import make_preview
+from tiler.config import RunConfig
+from tiler.errors import ConfigError, ProcessingError
+from tiler.filter import filter_tile
+from tiler.stages import tasks
+
+
+def test_a_folder_that_cannot_be_made_is_refused(make_cloud: Any, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(ConfigError, match=r"b\.laz: its folder cannot be made \(Not a directory\)"):
+        classify_file(
+            make_cloud("a.las", n=20), tmp_path / "file" / "sub" / "b.laz", RunConfig(in_process=True)
+        )
+
+
+@pytest.fixture
+def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cloud of several tiles, all of whose points are of class 6; the first tile fails."""
+    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
+    failing: list[object] = []
+
+    def work(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        if arguments["cells"] in (failing or [arguments["cells"]]):
+            failing[:] = [arguments["cells"]]
+            raise ProcessingError("this tile fails")
+        return filter_tile(store_url, arguments)
+
+    monkeypatch.setattr(tasks, "filter_tile", work)
+    points = clouds.city(150.0, 1.0)
+    return clouds.write(tmp_path / "in.laz", points, classes=points.truth * 0 + 6)
+
+
+def test_a_tile_that_fails_is_named(cloud: Path, tmp_path: Path) -> None:
+    facts = classify_file(cloud, tmp_path / "out.laz", settings())
+    (failed,) = facts["failed_tasks"]
+    assert failed["error"] == "this tile fails"
+    kept = laspy.read(tmp_path / "out.laz")
+    west, south, east, north = failed["bounds"]
+    inside = (kept.x >= west) & (kept.x < east) & (kept.y >= south) & (kept.y < north)
+    assert inside.sum() > 100
+    assert set(kept.classification[inside]) == {6}
+    assert 2 in set(kept.classification[~inside])
+
+
+def test_the_command_ends_with_5(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("cli.commands.classify.read_config", lambda _: settings())
+    assert main(["classify", str(cloud), str(tmp_path / "out.laz")]) == 5
+    told = capsys.readouterr()
+    assert "failed      filter0 t" in told.out
+    assert ": this tile fails" in told.out
+    assert "warning: filter0 t" in told.err
+
+
+def test_labels_with_a_hole_are_not_scored(cloud: Path) -> None:
+    with pytest.raises(ProcessingError, match=r"in\.laz: not scored, as 1 of its tasks failed \(filter0 t"):
+        filter_and_evaluate([cloud], settings())
+
+
+def test_a_preview_with_a_hole_says_so(cloud: Path, tmp_path: Path) -> None:
+    told: list[str] = []
+
+    def listen(event: str, fields: dict[str, Any]) -> None:
+        if event == "warning":
+            told.append(fields["text"])
+
+    windows = make_preview([str(cloud)], tmp_path / "preview.png", settings(), listen, number=1, side_m=140.0)
+    assert [window.failed for window in windows] == [1]
+    assert any("this tile fails" in text for text in told)

@@ -1,0 +1,150 @@
+"""What `tiler info` says of clouds, rasters and folders, against files whose content is known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+
+from tiler.apps.info import density_map, describe
+from tiler.errors import InputError
+
+
+def write_cloud(path: Path, side: float = 100.0, per_m2: int = 4, crs: str | None = "EPSG:25832") -> None:
+    """A square full of points on a regular lattice, every tenth of class 2, the first withheld."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, 0.001)
+    if crs is not None:
+        import pyproj
+
+        header.add_crs(pyproj.CRS(crs))
+    step = 1 / np.sqrt(per_m2)
+    axis = np.arange(step / 2, side, step)
+    cloud = laspy.LasData(header)
+    x, y = (v.ravel() for v in np.meshgrid(axis, axis))
+    cloud.x, cloud.y, cloud.z = x, y, np.full(x.size, 7.0)
+    cloud.classification = np.where(np.arange(x.size) % 10, 1, 2)
+    cloud.withheld = np.arange(x.size) == 0
+    cloud.write(path)
+
+
+def test_cloud(tmp_path: Path) -> None:
+    path = tmp_path / "a.laz"
+    write_cloud(path)
+    facts = describe(str(path))
+    assert (facts["kind"], facts["points"], facts["format"], facts["las_version"]) == (
+        "cloud",
+        40_000,
+        "LAZ",
+        "1.4",
+    )
+    assert facts["classes"] == {"1": 36_000, "2": 4_000}
+    assert facts["withheld_points"] == 1
+    assert facts["density_per_m2"] == pytest.approx(4.0, rel=0.02)
+    assert facts["crs"] == "ETRS89 / UTM zone 32N"
+    assert facts["horizontal_unit"] == "metre"
+    json.dumps(facts)
+
+
+def test_density_counts_where_points_are(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    write_cloud(path, side=100, per_m2=100, crs=None)
+    cloud = laspy.read(path)
+    cloud.points = cloud.points[(np.asarray(cloud.x) < 25) | (np.asarray(cloud.y) < 25)]
+    cloud.write(path)
+    assert describe(str(path))["density_per_m2"] == pytest.approx(100, rel=0.05)
+
+
+def test_density_is_per_square_metre_whatever_the_unit(tmp_path: Path) -> None:
+    path = tmp_path / "feet.laz"
+    write_cloud(path, crs="EPSG:2913")  # Oregon North, international feet
+    facts = describe(str(path))
+    assert facts["horizontal_unit"] == "foot"
+    assert facts["density_per_m2"] == pytest.approx(4 / 0.3048**2, rel=0.02)
+
+
+def test_cloud_without_points(tmp_path: Path) -> None:
+    path = tmp_path / "empty.las"
+    laspy.LasData(laspy.LasHeader(point_format=6, version="1.4")).write(path)
+    facts = describe(str(path))
+    assert facts["points"] == 0
+    assert facts["bounds"] is None
+
+
+def test_raster(tmp_path: Path) -> None:
+    path = tmp_path / "dtm.tif"
+    heights = np.arange(20, dtype=np.float32).reshape(4, 5)
+    heights[0, 0] = -9999
+    profile = {"driver": "GTiff", "height": 4, "width": 5, "count": 1, "dtype": "float32", "nodata": -9999,
+               "crs": "EPSG:25832", "transform": Affine(2, 0, 100, 0, -2, 200)}  # fmt: skip
+    with rasterio.open(path, "w", **profile) as raster:
+        raster.write(heights, 1)
+        raster.units = ("metre",)
+    facts = describe(str(path))
+    assert (facts["kind"], facts["width"], facts["height"], facts["nodata"]) == ("raster", 5, 4, -9999)
+    assert facts["bounds"] == [100, 192, 110, 200]
+    assert facts["crs"] == "ETRS89 / UTM zone 32N (EPSG:25832)"
+    assert facts["vertical_unit"] == "metre"
+    valid = heights.ravel()[1:].astype(float)
+    assert facts["heights"] == pytest.approx(
+        {"valid": 0.95, "minimum": 1, "maximum": 19, "mean": valid.mean(), "deviation": valid.std()}
+    )
+    json.dumps(facts)
+
+
+@pytest.mark.parametrize("name", ["text.txt", "folder", "nowhere.laz", "broken.laz"])
+def test_what_is_no_cloud_store_or_raster(name: str, tmp_path: Path) -> None:
+    (tmp_path / "text.txt").write_text("no raster")
+    (tmp_path / "broken.laz").write_bytes(b"LASF" + bytes(30))
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError, match=name) as caught:
+        describe(str(tmp_path / name))
+    assert "\n" not in str(caught.value)
+
+
+def test_of_a_folder_of_clouds_a_cloud_is_wanted(tmp_path: Path) -> None:
+    (tmp_path / "a.LAZ").touch()
+    with pytest.raises(InputError, match="holds clouds; name one of them, or see `tiler plan` for all"):
+        describe(str(tmp_path))
+
+
+def test_result_folder(tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text('{"state": "done", "counts": {"stored": 7}, "plan": {}}')
+    facts = describe(str(tmp_path))
+    assert (facts["kind"], facts["state"], facts["counts"], facts["dtm"]) == (
+        "result",
+        "done",
+        {"stored": 7},
+        None,
+    )
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(InputError, match="not valid JSON"):
+        describe(str(tmp_path))
+
+
+def test_the_map_of_density_is_north_up_and_keeps_every_point() -> None:
+    counts = np.zeros((10, 300), np.int64)
+    counts[0, 0], counts[9, 299], counts[4, 100] = 50, 5, 7
+    found = density_map(counts, 2.0)
+    per_m2 = np.array(found["per_m2"])
+    assert (found["width_m"], found["height_m"]) == (10.0, 20.0)  # five cells of 2 m wide, ten high
+    assert per_m2.shape == (1, 60)
+    assert (per_m2.sum() * 200) == pytest.approx(62, abs=0.3)
+    two = np.array(density_map(counts.T.copy(), 1.0)["per_m2"])
+    assert two[-1, 0] > 0  # row 0 of the counts is the southern one
+    assert two[0, -1] > 0
+
+
+def test_a_cloud_has_a_map(tmp_path: Path) -> None:
+    path = tmp_path / "a.laz"
+    write_cloud(path, side=100, per_m2=4)
+    found = describe(str(path))["density_map"]
+    inner = np.array(found["per_m2"])[1:-1, 1:-1]
+    assert np.median(inner) == pytest.approx(4, rel=0.1)
+    assert len(found["per_m2"][0]) <= 64
+    assert len(found["per_m2"]) <= 24

@@ -1,0 +1,194 @@
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tiler.errors import InputError
+from tiler.io.las.headers import read_header
+
+
+def patch(path: Path, position: int, form: str, *values: Any) -> Path:
+    data = bytearray(path.read_bytes())
+    struct.pack_into(form, data, position, *values)
+    path.write_bytes(data)
+    return path
+
+
+def test_header_says_what_laspy_wrote(make_cloud: Any) -> None:
+    path = make_cloud("a.las", n=321, point_format=6, version="1.4", evlr=b"xyz" * 100)
+    header = read_header(path)
+    assert (header.version, header.point_format, header.point_count) == ((1, 4), 6, 321)
+    assert header.scales == (0.01, 0.01, 0.01)
+    assert header.offsets == (500_000.0, 5_400_000.0, 0.0)
+    assert [v.record_id for v in header.vlrs] == [7, 2112]
+    assert [(v.user_id, v.record_id, v.length) for v in header.evlrs] == [("mine", 9, 300)]
+    assert header.notes == ()
+
+
+LIES = {
+    "signature": (0, "<4s", (b"LASX",), "not with LASF"),
+    "version": (25, "<B", (9,), "LAS 1.9"),
+    "header size": (94, "<H", (20,), "header of 20 bytes"),
+    "points offset": (96, "<I", (10**9,), "points from byte 1000000000"),
+    "point format": (104, "<B", (11,), "point format 11"),
+    "both compression bits": (104, "<B", (0xC3,), "point format 195"),
+    "compressed": (104, "<B", (0x83,), "no laszip record"),
+    "record length": (105, "<H", (12,), "records of 12 bytes"),
+    "point count": (107, "<I", (2**32 - 1,), "says 4294967295 points"),
+    "scale 0": (131, "<d", (0.0,), "scale factors"),
+    "scale NaN": (139, "<d", (math.nan,), "scale factors"),
+    "scale below 0": (139, "<d", (-0.01,), "scale factors"),
+    "offset inf": (155, "<d", (math.inf,), "offsets"),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_lies_are_refused_in_one_line(make_cloud: Any, lie: str) -> None:
+    position, form, values, said = LIES[lie]
+    path = patch(make_cloud("lie.las"), position, form, *values)
+    with pytest.raises(InputError) as caught:
+        read_header(path)
+    text = str(caught.value)
+    assert str(path) in text
+    assert said in text
+    assert "\n" not in text
+    assert ";" in text
+
+
+@pytest.mark.parametrize("size", [0, 3, 100, 226])
+def test_stubs_are_refused(make_cloud: Any, size: int) -> None:
+    path = make_cloud("stub.las")
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(InputError):
+        read_header(path)
+
+
+def test_absent_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_header(tmp_path / "nowhere.las")
+
+
+def test_number_of_vlrs_that_is_merely_wrong_is_noted(make_cloud: Any) -> None:
+    header = read_header(patch(make_cloud("vlrs.las"), 100, "<I", 2**32 - 1))
+    assert len(header.vlrs) == 2
+    assert header.notes == ("says 4294967295 variable length records, 2 are there",)
+
+
+def test_evlrs_beyond_the_file(make_cloud: Any) -> None:
+    path = patch(make_cloud("e.las", point_format=6, version="1.4", evlr=b"1"), 235, "<Q", 2**60)
+    with pytest.raises(InputError, match="extended records"):
+        read_header(path)
+    assert read_header(path, salvage=True).evlrs == ()
+
+
+def test_evlrs_inside_the_points(make_cloud: Any) -> None:
+    path = patch(make_cloud("e.las", point_format=6, version="1.4", evlr=b"1"), 235, "<Q", 900)
+    with pytest.raises(InputError, match="extended records"):
+        read_header(path)
+
+
+def test_cut_las_is_salvaged_to_whole_records(make_cloud: Any) -> None:
+    path = make_cloud("cut.las", n=100)
+    path.write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(InputError, match="--salvage"):
+        read_header(path)
+    assert read_header(path, salvage=True).point_count == 98
+
+
+CHUNK_LIES = {
+    "table beyond the end": lambda size: 10 * size,
+    "table before the points": lambda size: 12,
+    "table at the last byte": lambda size: size - 2,
+    "never written": lambda size: -1,
+}
+
+
+@pytest.mark.parametrize("lie", CHUNK_LIES)
+@pytest.mark.parametrize("point_format", [3, 6])
+def test_lies_about_the_chunk_table(make_cloud: Any, lie: str, point_format: int) -> None:
+    version = "1.4" if point_format > 5 else "1.2"
+    path = make_cloud("t.laz", point_format=point_format, version=version)
+    patch(path, read_header(path).points_offset, "<q", CHUNK_LIES[lie](path.stat().st_size))
+    with pytest.raises(InputError, match="--salvage"):
+        read_header(path)
+
+
+def test_number_of_chunks_is_held_against_the_bytes(make_cloud: Any) -> None:
+    path = make_cloud("t.laz")
+    (table,) = struct.unpack_from("<q", path.read_bytes(), read_header(path).points_offset)
+    patch(path, table + 4, "<I", 2**32 - 1)
+    with pytest.raises(InputError, match="4294967295 chunks"):
+        read_header(path)
+
+
+def test_laz_count_is_held_against_the_chunks(make_cloud: Any) -> None:
+    path = patch(make_cloud("t.laz", n=70_000), 107, "<I", 700_000)
+    with pytest.raises(InputError, match="chunk table has 2 chunks, 700000 points need 14"):
+        read_header(path)
+
+
+def test_digest_is_of_what_lies_before_the_points(make_cloud: Any) -> None:
+    first = make_cloud("a.las")
+    digest = read_header(first).digest
+    assert digest == read_header(first).digest
+    assert digest != read_header(patch(first, 131, "<d", 0.02)).digest
+
+
+def test_digest_is_of_the_table_of_chunks_as_well(make_cloud: Any) -> None:
+    first, second = (make_cloud(f"{seed}.laz", n=200, seed=seed) for seed in (1, 2))
+    offset = read_header(first).points_offset
+    second.write_bytes(first.read_bytes()[:offset] + second.read_bytes()[offset:])
+    assert read_header(first).digest != read_header(second).digest
+
+
+@pytest.mark.parametrize("n", [1, 49_999, 50_000, 50_001, 100_000])
+@pytest.mark.parametrize("point_format", [0, 6])
+def test_chunks_that_are_just_full(make_cloud: Any, n: int, point_format: int) -> None:
+    header = read_header(make_cloud("full.laz", n=n, point_format=point_format, version="1.4"))
+    assert header.laz is not None
+    assert int(header.laz.counts.sum()) == n
+
+
+def test_items_of_a_newer_laszip_are_refused_by_version(make_cloud: Any) -> None:
+    path = make_cloud("v4.laz", point_format=6, version="1.4")
+    laszip = next(v for v in read_header(path).vlrs if v.is_laszip)
+    patch(path, laszip.payload + 34 + 4, "<H", 4)
+    with pytest.raises(InputError, match="items of version 4"):
+        read_header(path)
+
+
+@pytest.mark.parametrize(("suffix", "point_format"), [("las", 3), ("laz", 3), ("laz", 6)])
+def test_points_that_a_header_without_number_forgot_are_not_lost(
+    suffix: str, point_format: int, make_cloud: Any
+) -> None:
+    version = "1.4" if point_format > 5 else "1.2"
+    path = make_cloud(f"c.{suffix}", n=500, point_format=point_format, version=version)
+    patch(path, *((247, "<Q", 0) if version == "1.4" else (107, "<I", 0)))
+    with pytest.raises(InputError, match=r"says 0 points, has .* it was never finished; .*--salvage"):
+        read_header(path)
+    header = read_header(path, salvage=True)
+    assert "never finished" in header.notes[0]
+    assert header.laz is not None or header.point_count == 500
+    assert point_format != 6 or header.point_count == 500
+
+
+@pytest.mark.parametrize("name", ["none.las", "none.laz"])
+def test_a_cloud_without_points_is_whole(name: str, make_cloud: Any) -> None:
+    header = read_header(make_cloud(name, n=0, point_format=6, version="1.4", evlr=b"xyz" * 100))
+    assert (header.point_count, header.notes) == (0, ())
+
+
+@pytest.mark.parametrize("point_format", [3, 6])
+def test_chunks_behind_the_last_point_are_not_lost(point_format: int, make_cloud: Any) -> None:
+    path = make_cloud("c.laz", n=110_000, point_format=point_format, version="1.4")
+    with pytest.raises(InputError, match="chunk table has 3 chunks, 70000 points need 2"):
+        read_header(patch(path, 247, "<Q", 70_000))
+
+
+def test_records_behind_the_last_point_are_told(make_cloud: Any) -> None:
+    path = patch(make_cloud("c.las", n=100), 107, "<I", 90)
+    assert read_header(path).notes == ("says 90 points, has room for 100: the rest is not read",)

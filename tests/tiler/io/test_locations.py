@@ -1,0 +1,101 @@
+"""Paths and URLs, read and listed alike."""
+
+from __future__ import annotations
+
+import uuid
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tiler.errors import ConfigError, ProcessingError
+from tiler.io import locations
+from tiler.io.locations import partial_path
+
+
+@pytest.fixture
+def folder() -> str:
+    """A URL with objects below it."""
+    pytest.importorskip("upath", reason="no URLs: universal-pathlib is not installed")
+    url = f"memory://{uuid.uuid4().hex}"
+    for name in ("a.laz", "b/c.LAS", "b/readme.txt"):
+        locations.cloud_path(f"{url}/{name}").write_bytes(bytes(range(200)) * 3)
+    return url
+
+
+def test_clouds_are_listed(folder: str) -> None:
+    def names(url: str) -> list[str]:
+        return [str(p).removeprefix(folder) for p in locations.list_clouds(url, (".las", ".laz"))]
+
+    assert names(folder) == names(f"{folder}/") == ["/a.laz", "/b/c.LAS"]
+    assert names(f"{folder}/**/*.LAS") == ["/b/c.LAS"]
+    assert names(f"{folder}/b/readme.txt") == ["/b/readme.txt"]  # named by itself it is taken at its word
+    with pytest.raises(ConfigError, match="nothing there; name LAS or LAZ objects"):
+        locations.list_clouds(f"{folder}/nowhere", (".las",))
+
+
+def test_any_part_of_an_object_is_read(folder: str) -> None:
+    path = locations.cloud_path(f"{folder}/a.laz")
+    assert locations.stat_cloud(path).st_size == locations.sizes_at([str(path)])[0] == 600
+    with locations.open_cloud(path) as stream:
+        assert stream.seek(250) == 250
+        assert stream.read(3) == bytes((50, 51, 52))
+        assert stream.tell() == 253
+        stream.seek(-2, 2)
+        assert stream.read(10) == bytes((198, 199))
+        buffer = bytearray(4)
+        stream.seek(0)
+        assert stream.readinto(buffer) == 4  # type: ignore[attr-defined]
+        assert buffer == bytes((0, 1, 2, 3))
+
+
+def test_two_views_of_an_object_have_places_of_their_own(folder: str) -> None:
+    path = locations.cloud_path(f"{folder}/a.laz")
+    with locations.open_cloud(path, 100) as stream, locations.second_view(stream, path) as other:
+        assert stream.seek(210) == 210
+        assert other.read(2) == bytes((0, 1))
+        assert stream.read(2) == bytes((10, 11))
+        stream.seek(-1, 2)
+        assert stream.read() == bytes((199,))
+        assert (other.tell(), stream.tell()) == (2, 600)
+
+
+def test_what_is_written_into_a_url_appears_when_it_is_whole(folder: str) -> None:
+    with locations.folder_for(f"{folder}/out") as scratch:
+        (scratch / "x.tif").write_bytes(b"whole")
+        assert locations.state_at(f"{folder}/out/x.tif") is None
+    assert locations.sizes_at([f"{folder}/out/x.tif"]) == [5]
+    assert not scratch.exists()
+    with suppress(ZeroDivisionError), locations.folder_for(f"{folder}/out") as scratch:
+        (scratch / "y.tif").write_bytes(b"half")
+        raise ZeroDivisionError
+    assert locations.state_at(f"{folder}/out/y.tif") is None
+    assert not scratch.exists()
+
+
+def test_a_path_is_a_path(tmp_path: Path) -> None:
+    assert locations.cloud_path(str(tmp_path)) == tmp_path
+    with locations.folder_for(str(tmp_path)) as folder:
+        assert folder == tmp_path
+    assert locations.state_at(str(tmp_path / "nowhere")) is None
+    assert locations.joined("a/", "b", "c") == "a/b/c"
+
+
+def test_what_no_library_knows() -> None:
+    with pytest.raises(ConfigError, match=r"nosuch://x/y: cannot be read .*tiler-dtm\[cloud\]"):
+        locations.cloud_path("nosuch://x/y").exists()
+
+
+def test_a_target_that_refuses(tmp_path: Path) -> None:
+    (tmp_path / "x").write_bytes(b"x")
+    with pytest.raises(ProcessingError, match="cannot be written"):
+        locations.put_file(tmp_path / "x", "nosuch://x/y")
+
+
+def test_a_long_name_has_a_short_one_until_it_is_whole(tmp_path: Path) -> None:
+    assert partial_path(tmp_path / "a.laz") == tmp_path / ".tiler-a.laz.partial"
+    long = [tmp_path / ("ä" * 125 + end) for end in ("1.laz", "2.laz")]
+    found = {partial_path(path) for path in long}
+    assert len(found) == 2, "each has its own"
+    for path in found:
+        path.write_bytes(b"")

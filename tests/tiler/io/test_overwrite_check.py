@@ -1,0 +1,77 @@
+"""What is written is compared with what is read, whatever the names."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tiler.errors import ConfigError
+from tiler.io.overwrite_check import Target, check_folder, check_targets
+
+
+@pytest.fixture
+def read(tmp_path: Path) -> Path:
+    path = tmp_path / "in" / "a.laz"
+    path.parent.mkdir()
+    path.write_bytes(b"points")
+    return path
+
+
+@pytest.mark.parametrize("kind", ["same", "dots", "link", "hard link", "link of a folder", "file URL"])
+def test_an_input_is_known_by_any_name(kind: str, read: Path, tmp_path: Path) -> None:
+    target: str | Path = read
+    if kind == "dots":
+        target = tmp_path / "in" / ".." / "in" / "a.laz"
+    elif kind == "link":
+        target = tmp_path / "b.laz"
+        target.symlink_to(read)
+    elif kind == "hard link":
+        target = tmp_path / "b.laz"
+        os.link(read, target)
+    elif kind == "link of a folder":
+        (tmp_path / "out").symlink_to(tmp_path / "in")
+        target = tmp_path / "out" / "a.laz"
+    elif kind == "file URL":
+        target = f"file://{read}"
+    with pytest.raises(ConfigError, match=r"^-o .*: is an input \(.*a\.laz\); name another output"):
+        check_targets([Target("-o", target)], [tmp_path / "none", read])
+    check_targets([Target("-o", tmp_path / "c.laz")], [read])
+
+
+def test_a_file_that_is_not_there_yet_is_known_by_its_place(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path)
+    with pytest.raises(ConfigError, match="is an input"):
+        check_targets([Target("", tmp_path / "link" / "x")], [tmp_path / "x"])
+
+
+def test_urls_are_compared_as_such() -> None:
+    with pytest.raises(ConfigError, match="s3://b/a.laz: is an input"):
+        check_targets([Target("", "s3://b/a.laz")], ["s3://b/a.laz"])
+    check_targets([Target("", "s3://b/a.laz")], ["s3://b/b.laz", "b/a.laz"])
+
+
+def test_a_name_says_what_the_file_is(tmp_path: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"-o .*a\.laz: would be of another kind than its name says; name it \.png"
+    ):
+        check_targets([Target("-o", tmp_path / "a.laz", (".png",))], [])
+    check_targets([Target("-o", tmp_path / "a.PNG", (".png",))], [])
+
+
+@pytest.mark.parametrize(
+    ("folder", "other", "what"),
+    [("out", "out", "is the same as"), ("out/", "out/../out", "is the same as"), (".", "out/a.laz", "holds"),
+     ("link", "out/a.laz", "holds"), ("s3://b/x", "s3://b/x/y", "holds"), ("s3://b/x/", "s3://b/x", "is the same as"),
+     ("file:///", "out", "holds")],
+)  # fmt: skip
+def test_a_folder_of_its_own_holds_nothing_else(
+    folder: str, other: str, what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "link").symlink_to("out")
+    with pytest.raises(ConfigError, match=f"^--store {folder}: {what} {other}; name another place"):
+        check_folder("--store", folder, [other])
+    check_folder("--store", "out/store.zarr", ["out", "outside", "s3://b"])

@@ -1,0 +1,110 @@
+"""Wrong choices that the data show have one warning with its remedy; choices that may be right have none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.tiler.conftest import MakeCloud
+from tests.tiler.plan.test_roof_check import ROWS, with_hall
+from tiler.config import RunConfig
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Lattice
+from tiler.core.raster import NODATA, RasterSpec
+from tiler.ingest import SourceInfo, inspect
+from tiler.plan import make_plan
+from tiler.plan.advice import before, pooled, roofs_in_terrain
+from tiler.plan.refuse import warnings_of
+from tiler.store import StoreMeta, TileStore, create_store
+
+
+def test_pooling_keeps_the_place() -> None:
+    assert np.array_equal(pooled(ROWS, 4)[:3, 0], [2, 6, 10])
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> TileStore:
+    meta = StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False)
+    return create_store(str(tmp_path / "store.zarr"), meta)
+
+
+@pytest.mark.parametrize("part_cells", [1000, 50])
+def test_a_roof_in_the_terrain_of_a_store(
+    part_cells: int, store: TileStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.plan.advice.PART_CELLS", part_cells)
+    heights = np.kron(with_hall(), np.ones((2, 2))).astype(np.float32)
+    heights[:20] = NODATA
+    spec = RasterSpec(Lattice(Fraction(1000)), 500_000, 5_400_000, *heights.shape)
+    store.create_raster("dtm", *heights.shape)
+    for block in spec.blocks(512):
+        part = heights[block.row : block.row + block.height, block.col : block.col + block.width]
+        store.write_block("dtm", block, part)
+    text = roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 20.0)
+    assert text is not None
+    assert text.startswith("the terrain holds what looks like a roof 60 m wide")
+    assert "x 500130, y 5399890" in text
+    assert text.endswith("max_building_size is 20 m; if it is one, use --set max_building_size=80")
+    assert roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 80.0) is None
+
+
+@pytest.fixture
+def source(make_cloud: MakeCloud) -> SourceInfo:
+    return inspect(make_cloud("a.las", 500, 3))
+
+
+MATCHED = {"has_rgb": True, "returns": 1, "point_format": 2}
+
+
+@pytest.mark.parametrize(
+    ("changes", "settings", "density", "words"),
+    [
+        (MATCHED, {}, 1.0, ["look like image matching", "method classic", "use --preset dim"]),
+        ({**MATCHED, "point_format": 7}, {}, 40.0, ["look like image matching"]),
+        (MATCHED, {"method": "ridge2016"}, 1.0, ["method ridge2016 is made for laser scanning"]),
+        ({**MATCHED, "point_format": 7}, {}, 8.0, []),  # a scan whose returns were taken off
+        ({**MATCHED, "returns": 3}, {}, 40.0, []),
+        (MATCHED, {"method": "dong2018"}, 40.0, []),
+        (MATCHED, {"method": "keep"}, 40.0, []),
+        ({}, {"resolution": "0.5"}, 1.0, ["--resolution 0.5 m is finer", "1 m apart", "use --resolution 1"]),
+        ({}, {"resolution": "0.5"}, 3.0, []),
+        ({}, {"halo": "10"}, 3.0, ["--halo 10 m is too small", "leave it out, or use --halo 100"]),
+        ({}, {"halo": "60"}, 3.0, []),
+        ({}, {}, 0.1, []),
+    ],
+)
+def test_choices(
+    changes: dict[str, Any], settings: dict[str, Any], density: float, words: list[str], source: SourceInfo
+) -> None:
+    plain = {"has_rgb": False, "returns": 3, **changes}
+    config = RunConfig.from_mapping({"method": "classic", **settings})
+    found = list(before([replace(source, **plain)], config, density, 100.0))
+    assert len(found) == bool(words)
+    for word in words:
+        assert word in found[0]
+
+
+def test_the_plan_gives_the_advice(make_cloud: MakeCloud) -> None:
+    path = make_cloud("b.las", 2000, 1)
+    config = RunConfig.from_mapping({"method": "classic", "halo": "10", "resolution": "0.1"})
+    warnings = make_plan([str(path)], config).warnings
+    assert sum("--halo 10 m is too small" in text for text in warnings) == 1
+    assert sum("is finer than the points" in text for text in warnings) == 1
+
+
+@pytest.mark.parametrize(
+    ("side", "tile", "times"), [(90, 128, None), (900, 512, None), (900, 128, "6.6"), (300, 100, "9.0")]
+)
+def test_small_tiles_are_told_of_where_there_are_several(
+    side: int, tile: int, times: str | None, source: SourceInfo
+) -> None:
+    wide = replace(source, bounds=(0.0, 0.0, 100.0, float(side), float(side), 110.0))
+    found = warnings_of([wide], CoordFrame().units, Fraction(tile), [100.0])
+    assert [f"do {times} times the work; use --tile-size 483 or more --memory" in text for text in found] == (
+        [True] if times else []
+    )

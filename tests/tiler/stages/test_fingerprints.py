@@ -1,0 +1,127 @@
+"""Digests of the inputs: all bytes, once, whoever reads them; what cannot be read costs that file."""
+
+from __future__ import annotations
+
+import hashlib
+from fractions import Fraction
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.tiler.conftest import MakeCloud
+from tiler.config import RunConfig
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Lattice
+from tiler.errors import InputError
+from tiler.ingest import inspect
+from tiler.observe.events import silent
+from tiler.schedule import SerialExecutor
+from tiler.stages import fingerprints
+from tiler.stages.tasks import Source
+from tiler.store import StoreMeta, TileStore, create_store
+
+
+@pytest.fixture
+def paths(make_cloud: MakeCloud) -> list[Path]:
+    """Ten small files."""
+    return [make_cloud(f"{i}.las", n=30, seed=i) for i in range(10)]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> TileStore:
+    meta = StoreMeta(CoordFrame(origin=(0, 0)), Lattice(Fraction(10_000)), Lattice(Fraction(1000)), False)
+    return create_store(str(tmp_path / "store.zarr"), meta)
+
+
+def numbered(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list[Source], Any]:
+    """The sources, and what stood for the run."""
+    plan = SimpleNamespace(sources=[inspect(path) for path in paths], config=RunConfig(**settings))
+    crew = SimpleNamespace(executor=lambda writes_out: SerialExecutor())
+    job: Any = SimpleNamespace(plan=plan, store=store, crew=crew, listener=silent, quarantined=[])
+    return fingerprints.numbered(job), job
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Number of files of each task that is done."""
+    found: list[int] = []
+    read = fingerprints.read_files
+
+    def count(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        found.append(len(arguments["files"]))
+        return read(store_url, arguments)
+
+    monkeypatch.setattr(fingerprints, "read_files", count)
+    return found
+
+
+def test_all_bytes_once_and_again_where_something_changed(
+    paths: list[Path], store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fingerprints, "GROUP_FILES", 4)
+    sources, _ = numbered(paths, store)
+    contents = [hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest() for path in paths]
+    assert [(s.number, s.content) for s in sources] == list(enumerate(contents))
+    assert seen == [4, 4, 2]
+    assert numbered(paths, store)[0] == sources
+    assert seen == [4, 4, 2]
+    paths[3].touch()
+    again, _ = numbered(paths[2:], store)
+    assert [(s.number, s.content) for s in again] == list(enumerate(contents))[2:]
+    assert seen == [4, 4, 2, 1]
+    numbered(paths, store, verify=True)
+    assert seen == [4, 4, 2, 1, 4, 4, 2]
+
+
+def test_large_files_are_read_alone(
+    paths: list[Path], store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fingerprints, "GROUP_BYTES", 100)
+    numbered(paths, store)
+    assert seen == [1] * 10
+
+
+def grow_while_it_is_read(monkeypatch: pytest.MonkeyPatch, *places: Path) -> None:
+    read = fingerprints.read_files
+
+    def grow(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        for place in places:
+            place.write_bytes(place.read_bytes() + b"more")
+        return read(store_url, arguments)
+
+    monkeypatch.setattr(fingerprints, "read_files", grow)
+
+
+def test_a_file_that_changes_meanwhile_is_left_out(
+    paths: list[Path], store: TileStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grow_while_it_is_read(monkeypatch, paths[4])
+    sources, job = numbered(paths, store)
+    assert [s.number for s in sources] == [0, 1, 2, 3, 5, 6, 7, 8, 9]
+    (left_out,) = job.quarantined
+    assert left_out["path"] == str(paths[4])
+    assert "while the run went on (" in left_out["error"]
+    monkeypatch.undo()
+    assert [s.number for s in numbered(paths, store)[0]] == list(range(10))
+
+
+@pytest.mark.parametrize(
+    ("grown", "settings", "text"),
+    [
+        (
+            [4],
+            {"on_error": "stop"},
+            r"4\.las: was replaced or .* \(.* bytes before, .* now\); run",
+        ),
+        (range(10), {}, r"no input could be read; the first: .*0\.las: "),
+    ],
+)
+def test_what_ends_the_run(
+    grown: list[int], settings: dict[str, Any], text: str, paths: list[Path], store: TileStore,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    grow_while_it_is_read(monkeypatch, *(paths[i] for i in grown))
+    with pytest.raises(InputError, match=text):
+        numbered(paths, store, **settings)

@@ -1,0 +1,79 @@
+"""What terminals, logs and files get of a text."""
+
+from __future__ import annotations
+
+import pytest
+
+from tiler.errors import ConfigError, DamagedError, InputError
+from tiler.io.locations import cloud_path, location
+from tiler.redaction import printable, shown, stored, without_secrets
+from tiler.schedule import digest_of
+from tiler.store.storage import Storage
+
+
+@pytest.mark.parametrize(
+    ("text", "rest"),
+    [
+        ("https://anna:pw@host:80/town.laz?token=t: cannot be read", "https://host:80/town.laz: cannot be read"),
+        ("https://TOKEN@host/x", "https://host/x"),
+        ("two: http://a:b@c/x?y, and (ftp://d:e@f/z?w=1).", "two: http://c/x, and (ftp://f/z)."),
+        ("URL('https://host/x?sig=abc')", "URL('https://host/x')"),
+        ("https://host/my town.laz?sig=abc", "https://host/my town.laz"),
+        ("https:/anna:pw@host/x", "https:/host/x"),
+        ("simplecache::ftp://anna:pw@host/x", "simplecache::ftp://host/x"),
+        ("ftp://anna:p/w@host/x", "ftp://host/x"),
+        ("ftp://anna:p#w?@host/x", "ftp://host/x"),
+        ('"http://h/x?a=b\\"c', '"http://h/x\\"c'),
+        # Nothing that is no secret is lost.
+        ("s3://bucket/a@b.laz: gone", "s3://bucket/a@b.laz: gone"),
+        ("http://[::1]:80/x@y", "http://[::1]:80/x@y"),
+        ("abfs://container@account.dfs.core.windows.net/x", "abfs://container@account.dfs.core.windows.net/x"),
+        ("s3://b/k: is that so? yes", "s3://b/k: is that so? yes"),
+        ("a?b@c d.laz", "a?b@c d.laz"),
+    ],
+)  # fmt: skip
+def test_urls_lose_user_password_and_query(text: str, rest: str) -> None:
+    assert without_secrets(text) == rest
+    assert without_secrets(rest) == rest
+
+
+def test_values_are_stripped_whole() -> None:
+    value = {
+        "http://a:b@c/x?t": ["http://a:b@c/y", {"n": 1.5, "none": None, "text": "a\nb"}],
+        "pair": ("s", 2),
+    }
+    assert stored(value) == {
+        "http://c/x": ["http://c/y", {"n": 1.5, "none": None, "text": "a\nb"}],
+        "pair": ["s", 2],
+    }
+
+
+def test_what_is_not_printable_is_written_as_escapes() -> None:
+    assert (
+        printable("a\nb \x1b[2J gr\udcfcn gr\u00fcn \u202e") == "a\\nb \\x1b[2J gr\\udcfcn gr\u00fcn \\u202e"
+    )
+    assert shown("\x9b1m http://a:b@c") == "\\x9b1m http://c"
+
+
+def test_errors_hold_no_secret_from_the_beginning() -> None:
+    assert str(InputError("http://a:b@c/x?t=1: gone")) == "http://c/x: gone"
+    damaged = DamagedError("http://a:b@c/store: k: damaged", ("k",))
+    assert (str(damaged), damaged.keys) == ("http://c/store: k: damaged", ("k",))
+
+
+def test_another_token_is_no_other_digest() -> None:
+    assert digest_of(["http://a:b@c/x?t=1"]) == digest_of(["http://a:z@c/x?t=2"])
+    assert digest_of(["http://c/x"]) != digest_of(["http://c/y"])
+
+
+def test_what_opens_a_url_keeps_its_secrets() -> None:
+    pytest.importorskip("upath")
+    url = "http://anna:pw@host/town.laz?token=t"
+    assert location(cloud_path(url)) == url
+
+
+def test_a_password_that_breaks_its_url_is_refused() -> None:
+    for refuses in (cloud_path, Storage):
+        with pytest.raises(ConfigError, match="write / as %2F") as caught:
+            refuses("ftp://anna:pw/x@host/town.laz")
+        assert "pw" not in str(caught.value)

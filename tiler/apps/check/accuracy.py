@@ -1,0 +1,246 @@
+"""A DTM against checkpoints.
+
+By the ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023, version 2 of 2024): accuracy
+is the RMSE, with no factor for 95 % confidence; it includes the checkpoints' own error; a statement needs at
+least 30 checkpoints (more above 1000 km2, 120 at most); vegetated accuracy (VVA) is reported and never judged.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.apps.check.points import NVA, VVA, Checkpoints, PointOptions
+from tiler.apps.evaluate.heights import read_heights, vertical_unit
+from tiler.apps.evaluate.rasters import open_raster
+from tiler.core.spread import spread
+from tiler.core.units import unit_label
+from tiler.errors import ConfigError
+from tiler.io.json_text import excerpt
+
+STANDARD = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
+LEAST_POINTS = 30
+MOST_POINTS = 120
+OUTLIER_NMADS = 3.0
+"""An outlier is farther than this from the median, in NMAD; it is named, and stays in all figures."""
+_ROUNDING = 1e-9
+
+Floats = npt.NDArray[np.float64]
+
+
+def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None = None) -> dict[str, Any]:
+    """Differences DTM minus checkpoint, bilinear between pixel centres.
+
+    Parameters
+    ----------
+    dtm : path
+    points : Checkpoints
+    options : PointOptions
+
+    Returns
+    -------
+    dict
+        ``unit`` (of all heights), ``metres_per_unit``; ``points``, ``used``, ``no_height`` (a pixel around has no
+        data), ``outside`` (of the raster); ``all``, ``nva``, ``vva``: what `tiler.core.spread.spread` says, and
+        ``points``, ``rmse_v`` (RMSE with the checkpoints' own error), ``outliers``; ``land_cover``: the same by name;
+        ``asprs``: ``standard``, ``least_points``, ``enough_points``, ``statement`` (None with too few);
+        ``differences``: for each point ``name``, ``x``, ``y`` (CRS of the DTM), ``kind``, ``cover``, ``z``, ``dtm``,
+        ``difference`` (None without a height) and ``outlier``; ``notes``.
+
+    Raises
+    ------
+    InputError
+        The DTM cannot be read.
+    ConfigError
+        The checkpoints' CRS is not known.
+    """
+    options = options or PointOptions()
+    notes = list(points.notes)
+    with open_raster(dtm) as raster:
+        metres = vertical_unit(raster)
+        x, y = _in_crs_of(raster, points, options, notes)
+        sampled, outside = bilinear(raster, x, y)
+        area_km2 = _area_km2(raster)
+    z = points.z * float((options.unit or metres) / metres)
+    difference = sampled - z
+    own = options.rmse / float(metres)
+    if not own:
+        notes.append("the checkpoints' own error is taken as 0; --points-rmse says otherwise")
+    kinds, covers = np.array(points.kinds), np.array(points.covers)
+    facts: dict[str, Any] = {
+        "dtm": str(dtm),
+        "unit": unit_label(metres),
+        "metres_per_unit": float(metres),
+        "points": len(points),
+        "used": int(np.isfinite(difference).sum()),
+        "outside": int(outside.sum()),
+        "no_height": int((np.isnan(sampled) & ~outside).sum()),
+        "points_rmse": own,
+        "all": _figures(difference, own),
+        "nva": _figures(difference[kinds == NVA], own),
+        "vva": _figures(difference[kinds == VVA], own),
+        "land_cover": {
+            name: _figures(difference[covers == name], own) for name in sorted(set(points.covers)) if name
+        },
+    }
+    facts["asprs"] = _statement(facts, area_km2, float(metres))
+    flags = outliers(difference)
+    facts["differences"] = [
+        {"name": points.names[i], "x": float(x[i]), "y": float(y[i]), "kind": points.kinds[i],
+         "cover": points.covers[i], "z": float(z[i]), "dtm": _or_none(sampled[i]),
+         "difference": _or_none(difference[i]), "outlier": bool(flags[i])}
+        for i in range(len(points))
+    ]  # fmt: skip
+    return {**facts, "notes": notes}
+
+
+def _or_none(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _in_crs_of(
+    raster: Any, points: Checkpoints, options: PointOptions, notes: list[str]
+) -> tuple[Floats, Floats]:
+    """X and y of the checkpoints in the raster's CRS; heights are never transformed."""
+    from pyproj import CRS, Transformer
+    from pyproj.exceptions import ProjError
+
+    from tiler.ingest.georeference import same_horizontal, split
+
+    text = options.crs or points.crs
+    x, y = points.xy
+    if text is None:
+        notes.append("the checkpoints name no CRS: taken as that of the DTM; --points-crs says otherwise")
+        return x, y
+    if raster.crs is None:
+        raise ConfigError(
+            f"the checkpoints are in {text}, the DTM has no CRS; leave out --points-crs if it is the same"
+        )
+    try:
+        named, own = CRS.from_user_input(text), CRS.from_wkt(raster.crs.to_wkt())
+    except (ProjError, UnicodeError, RecursionError) as error:
+        raise ConfigError(
+            f"the checkpoints are in {excerpt(text)}, which is no CRS that is known; name one with --points-crs"
+        ) from error
+    source, target = split(named)[0], split(own)[0]
+    if source is None or target is None:
+        raise ConfigError(f"{text}: has no horizontal part; name the CRS of x and y with --points-crs")
+    if same_horizontal(source, target):
+        return x, y
+    notes.append(
+        f"x and y of the checkpoints brought from {source.name} into {target.name}; heights are as they are"
+    )
+    try:
+        moved = Transformer.from_crs(source, target, always_xy=True).transform(x, y)
+    except ProjError as error:
+        raise ConfigError(
+            f"the checkpoints are in {source.name}, from which no way leads into {target.name}; "
+            "name another CRS with --points-crs"
+        ) from error
+    return np.asarray(moved[0], np.float64), np.asarray(moved[1], np.float64)
+
+
+def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Heights at places, bilinear between the four pixel centres around.
+
+    Parameters
+    ----------
+    raster : rasterio data set
+    x, y : float64 [n]
+        In the raster's CRS.
+
+    Returns
+    -------
+    heights : float64 [n]
+        NaN where a pixel that counts has no data, or does not exist; a pixel of weight 0 does not count.
+    outside : bool [n]
+        Beyond the raster's pixels.
+    """
+    columns, rows = pixel_places(raster.transform, x, y)
+    outside = ~((columns >= 0) & (columns <= raster.width) & (rows >= 0) & (rows <= raster.height))
+    heights = np.full(x.size, np.nan)
+    for i in np.flatnonzero(~outside):
+        heights[i] = _between_centres(raster, float(columns[i]) - 0.5, float(rows[i]) - 0.5)
+    return heights, outside
+
+
+def pixel_places(transform: Any, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Coordinates as columns and rows, in pixels from the corner of the first one; `transform` as rasterio has it."""
+    a, b, c, d, e, f = tuple(transform)[:6]
+    determinant = a * e - b * d
+    across, down = np.asarray(x) - c, np.asarray(y) - f
+    with np.errstate(invalid="ignore"):  # a point that its CRS cannot carry over is at infinity, on no pixel
+        return (e * across - b * down) / determinant, (a * down - d * across) / determinant
+
+
+def _between_centres(raster: Any, column: float, row: float) -> float:
+    """The height at a place in pixels from the centre of the first one; NaN without one."""
+    column, row = _near_whole(column), _near_whole(row)
+    left, top = math.floor(column), math.floor(row)
+    across, down = column - left, row - top
+    weights = np.outer((1 - down, down), (1 - across, across))
+    block = read_heights(raster, top, left, 2, 2)
+    return float((block[weights > 0] * weights[weights > 0]).sum())
+
+
+def _near_whole(value: float) -> float:
+    """A pixel centre where rounding of the coordinates is all that is between."""
+    return round(value) if abs(value - round(value)) < 1e-6 else value
+
+
+def outliers(difference: Floats) -> npt.NDArray[np.bool_]:
+    """Which differences (NaN: none) lie farther than `OUTLIER_NMADS` from their median."""
+    figures = spread(difference[np.isfinite(difference)])
+    if figures["median"] is None or figures["nmad"] is None:
+        return np.zeros(difference.size, np.bool_)
+    limit = OUTLIER_NMADS * figures["nmad"] + _ROUNDING
+    found: npt.NDArray[np.bool_] = np.abs(difference - figures["median"]) > limit
+    return found
+
+
+def _figures(difference: Floats, own_rmse: float) -> dict[str, Any]:
+    """The spread of those that have a height, and what the standard calls the accuracy."""
+    used = difference[np.isfinite(difference)]
+    figures = spread(used)
+    rmse = figures["rmse"]
+    return {
+        "points": int(used.size),
+        **figures,
+        "rmse_v": None if rmse is None else math.hypot(rmse, own_rmse),
+        "outliers": int(outliers(used).sum()),
+    }
+
+
+def least_points(area_km2: float) -> int:
+    """Checkpoints that the standard asks for: 30 up to 1000 km2, 10 more for each further 1000, 120 at most."""
+    further = max(math.ceil(min(area_km2, 1e9) / 1000) - 1, 0)
+    return min(LEAST_POINTS + 10 * further, MOST_POINTS)
+
+
+def _area_km2(raster: Any) -> float:
+    """Area of the whole raster, if its CRS has lengths; data may fill less."""
+    factor = raster.crs.linear_units_factor[1] if raster.crs is not None and raster.crs.is_projected else 1.0
+    pixel = abs(float(raster.transform.determinant)) * float(factor) ** 2
+    return pixel * int(raster.width) * int(raster.height) / 1e6
+
+
+def _statement(facts: dict[str, Any], area_km2: float, metres: float) -> dict[str, Any]:
+    """What may be stated by the standard."""
+    nva, vva, needed = facts["nva"], facts["vva"], least_points(area_km2)
+    enough = nva["points"] >= needed
+    text = None
+    if enough:
+        text = (
+            f"Tested by the {STANDARD} (2024): the actual NVA accuracy was found to be "
+            f"RMSEV = {100 * metres * nva['rmse_v']:.1f} cm with {nva['points']} checkpoints"
+        )
+        if vva["points"]:
+            text += f", the actual VVA accuracy RMSEV = {100 * metres * vva['rmse_v']:.1f} cm with {vva['points']}"
+        text += "."
+    return {
+        "standard": STANDARD, "least_points": needed, "enough_points": enough, "statement": text,
+    }  # fmt: skip

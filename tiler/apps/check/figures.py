@@ -1,0 +1,232 @@
+"""The check as drawings: a histogram of the differences and a map of the points.
+
+SVG, since a drawing with numbers at its axes needs letters, which every viewer of SVG brings along; a plotting library
+would be a dependency for two pictures. The map's hillshade is a PNG within it.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.apps.check.accuracy import pixel_places
+from tiler.apps.evaluate.heights import files_of_raster
+from tiler.apps.evaluate.rasters import open_raster
+from tiler.errors import ConfigError
+from tiler.export.geotiff import raster_errors
+from tiler.export.picture import png_bytes
+from tiler.io.locations import appearing
+from tiler.io.overwrite_check import Target, check_targets
+from tiler.redaction import shown
+
+WIDTH = 760
+HEIGHT = 420
+MARGIN = 56
+BINS = 30
+MAP_PIXELS = 900
+"""Pixels along the longer side of the map's hillshade."""
+
+_STYLE = (
+    "text{font:13px sans-serif;fill:#333}.axis{stroke:#888}.bar{fill:#4878a8}.out{stroke:#000;stroke-width:2}"
+    ".zero{stroke:#c33;stroke-dasharray:4 3}"
+)
+_BELOW, _ABOVE, _NONE = (33, 102, 172), (178, 24, 43), "#777"
+"""A DTM that is too low, too high, and a point without a height."""
+
+Floats = npt.NDArray[np.float64]
+
+
+FILES = ("histogram.svg", "map.svg")
+
+
+def refuse_figures(folder: Path, dtm: Path, points: Path | None, strips: Sequence[str]) -> None:
+    """Raise ConfigError where the drawings of `write_figures` would be written over what the check reads."""
+    reads: list[str | Path] = [*files_of_raster(dtm), *([points] if points is not None else []), *strips]
+    check_targets([Target("--figures", folder / name) for name in FILES], reads)
+    for path in (folder / name for name in FILES):
+        if os.path.lexists(path) and not _is_drawing(path):
+            raise ConfigError(
+                f"{path}: there already, and no drawing of a check; name another folder with --figures"
+            )
+
+
+def _is_drawing(path: Path) -> bool:
+    try:
+        with open(path, "rb") as stream:
+            return _STYLE.encode() in stream.read(4096)
+    except OSError:
+        return False
+
+
+def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, Any]) -> list[str]:
+    """Write ``histogram.svg`` and ``map.svg`` of what `tiler.apps.check.check_dtm` found.
+
+    Parameters
+    ----------
+    folder : path
+        Made if it is not there.
+    dtm : path
+    accuracy : mapping
+
+    Returns
+    -------
+    list of str
+        The files.
+
+    Raises
+    ------
+    InputError
+        The DTM cannot be read.
+    ProcessingError
+        The files cannot be written.
+    """
+    folder = Path(folder)
+    drawings = dict(zip(FILES, (histogram(accuracy), point_map(Path(dtm), accuracy)), strict=True))
+    with raster_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in drawings.items():
+            with appearing(folder / name) as partial:
+                partial.write_text(text, encoding="utf-8")
+    return [str(folder / name) for name in drawings]
+
+
+def _drawing(width: float, height: float, title: str, parts: Sequence[str]) -> str:
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" '
+        f'height="{height:.0f}"><title>{_escaped(title)}</title><style>{_STYLE}</style>'
+        f'<rect width="100%" height="100%" fill="#fff"/>{"".join(parts)}</svg>\n'
+    )
+
+
+def _escaped(text: str) -> str:
+    return escape(shown(text))
+
+
+def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{_escaped(text)}</text>'
+
+
+def histogram(accuracy: Mapping[str, Any]) -> str:
+    """The differences in bins of equal width, as SVG."""
+    unit = accuracy["unit"]
+    title = f"DTM minus checkpoint, {unit}"
+    values = np.array([p["difference"] for p in accuracy["differences"] if p["difference"] is not None])
+    if values.size == 0:
+        return _drawing(WIDTH, HEIGHT, title, [_text(WIDTH / 2, HEIGHT / 2, "no checkpoint has a height")])
+    low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
+    counts, bounds = np.histogram(values, bins=BINS, range=(low, high) if low < high else (-0.5, 0.5))
+    across = (WIDTH - 2 * MARGIN) / (bounds[-1] - bounds[0])
+    up = (HEIGHT - 2 * MARGIN) / counts.max()
+    base = HEIGHT - MARGIN
+    parts = [
+        f'<rect class="bar" x="{MARGIN + (a - bounds[0]) * across:.1f}" y="{base - n * up:.1f}" '
+        f'width="{(b - a) * across - 1:.1f}" height="{n * up:.1f}"><title>{a:.3f} to {b:.3f}: {n}</title></rect>'
+        for n, a, b in zip(counts, bounds[:-1], bounds[1:], strict=True)
+        if n
+    ]
+    zero = MARGIN - bounds[0] * across
+    parts += [
+        f'<line class="axis" x1="{MARGIN}" y1="{base}" x2="{WIDTH - MARGIN}" y2="{base}"/>',
+        f'<line class="zero" x1="{zero:.1f}" y1="{MARGIN / 2}" x2="{zero:.1f}" y2="{base}"/>',
+        *(
+            _text(MARGIN + (t - bounds[0]) * across, base + 18, f"{t:g}")
+            for t in ticks(bounds[0], bounds[-1])
+        ),
+        *(
+            _text(MARGIN - 6, base - t * up + 4, f"{t:g}", "end")
+            for t in ticks(0, float(counts.max()))
+            if t % 1 == 0
+        ),
+        _text(WIDTH / 2, HEIGHT - 12, title),
+        _text(MARGIN, 22, _summary(accuracy), "start"),
+    ]
+    return _drawing(WIDTH, HEIGHT, title, parts)
+
+
+def _summary(accuracy: Mapping[str, Any]) -> str:
+    figures, unit = accuracy["all"], accuracy["unit"]
+    return (
+        f"{figures['points']} points, RMSE {figures['rmse']:.3f} {unit}, mean {figures['bias']:+.3f}, "
+        f"median {figures['median']:+.3f}, NMAD {figures['nmad']:.3f}"
+    )
+
+
+def ticks(low: float, high: float) -> list[float]:
+    """Round numbers in an interval, about six."""
+    if not high > low:
+        return [low]
+    rough = (high - low) / 6
+    power = 10 ** math.floor(math.log10(rough))
+    step = next(m * power for m in (1, 2, 5, 10) if m * power >= rough)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(k * step, 12) for k in range(first, last + 1)]
+
+
+def point_map(dtm: Path, accuracy: Mapping[str, Any]) -> str:
+    """The points over a hillshade, coloured by their difference, as SVG."""
+    picture, pixels = _hillshade(dtm)
+    height, width = picture.shape[:2]
+    image = base64.b64encode(png_bytes(picture)).decode("ascii")
+    parts = [f'<image width="{width}" height="{height}" href="data:image/png;base64,{image}"/>']
+    largest = accuracy["all"]["p95_abs"] or 1.0
+    for point in accuracy["differences"]:
+        column, row = pixels(point["x"], point["y"])
+        difference = point["difference"]
+        told = "no height" if difference is None else f"{difference:+.3f} {accuracy['unit']}"
+        kind = " ".join(text for text in (point["kind"], point["cover"]) if text)
+        outline = ' class="out"' if point["outlier"] else ' stroke="#fff"'
+        parts.append(
+            f'<circle cx="{column:.1f}" cy="{row:.1f}" r="6" fill="{_colour(difference, largest)}"{outline}>'
+            f"<title>{_escaped(point['name'])} ({_escaped(kind)}): {told}</title></circle>"
+        )
+    legend = f"DTM minus checkpoint: blue below, red above, full at {largest:.3f} {accuracy['unit']}; outliers ringed"
+    parts.append(_text(8, height + 20, legend, "start"))
+    return _drawing(max(width, WIDTH), height + 32, "checkpoints", parts)
+
+
+def _colour(difference: float | None, largest: float) -> str:
+    if difference is None:
+        return _NONE
+    share = min(abs(difference) / largest, 1.0)
+    end = _ABOVE if difference > 0 else _BELOW
+    return "rgb({},{},{})".format(*(round(247 + (c - 247) * share) for c in end))
+
+
+def _hillshade(dtm: Path) -> tuple[npt.NDArray[np.uint8], Callable[[float, float], tuple[float, float]]]:
+    """A small hillshade (light from the north-west at 45 degrees), and what brings x, y to its column and row."""
+    with open_raster(dtm) as raster:
+        shrink = max(max(raster.shape) / MAP_PIXELS, 1.0)
+        shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
+        heights = raster.read(1, out_shape=shape, masked=True).astype(np.float64).filled(np.nan)
+        transform = raster.transform
+        wide, high = shape[1] / raster.width, shape[0] / raster.height
+    rgba = np.zeros((*shape, 4), np.uint8)
+    shade = _shade(heights, abs(transform.a) / wide, abs(transform.e) / high)
+    seen = np.isfinite(shade)
+    rgba[seen, :3] = (110 + 140 * shade[seen, None]).astype(np.uint8)
+    rgba[seen, 3] = 255
+
+    def pixels(x: float, y: float) -> tuple[float, float]:
+        columns, rows = pixel_places(transform, np.array([x]), np.array([y]))
+        return float(columns[0] * wide), float(rows[0] * high)
+
+    return rgba, pixels
+
+
+def _shade(heights: Floats, dx: float, dy: float) -> Floats:
+    """Share of the light that falls on the surface, 0 to 1; NaN without a height."""
+    if min(heights.shape) < 2:
+        return np.where(np.isfinite(heights), 0.7, np.nan)
+    south, east = np.gradient(heights, dy, dx)
+    # Normal (-east, south, 1) in x, y, z (rows run to the south), light from (-1, 1, sqrt 2) / 2.
+    normal = np.sqrt(east**2 + south**2 + 1)
+    shade: Floats = np.clip((east + south + math.sqrt(2)) / (2 * normal), 0, 1)
+    return np.where(np.isfinite(heights) & np.isnan(shade), 0.7, shade)

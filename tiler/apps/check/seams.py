@@ -1,0 +1,271 @@
+"""Steps of a DTM across the edges of tiles, beside those within tiles.
+
+A *step* is the absolute difference of two neighbouring pixels. A *jump* is what of it neither neighbour continues: for
+heights a, b, c, d in a row, the jump between b and c is |(c - b) - ((b - a) + (d - c)) / 2|, which is 0 on any plane
+and any even curve; so it shows a seam on steep ground as well.
+
+A few edges cross a few places, and those may be rougher than the rest; so edges are compared with the lines of pixels
+beside them, which cross the same places.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
+
+from tiler.apps.evaluate.heights import blocks_with_files, horizontal_unit, read_heights, vertical_unit
+from tiler.apps.evaluate.rasters import open_raster
+from tiler.core.units import unit_label
+from tiler.errors import ConfigError, InputError
+from tiler.io.json_text import read_object
+
+BLOCK_PIXELS = 512
+"""Side of the blocks in which a run makes its rasters, counted from the north-west corner."""
+
+BESIDE = (3, 20)
+"""Lines of pixels from an edge that are beside it: the next two see half of its jump in their neighbours' slopes."""
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class TileEdges:
+    """Where tiles meet: at multiples of a size, moved to the nearest edge of a bucket.
+
+    Attributes
+    ----------
+    tile : float
+        Side of a tile, units of the CRS; the lattice is anchored at coordinate 0.
+    bucket : float
+        Side of a bucket: a tile is made of those whose centres lie in its cell. 0: tiles are cut as they are.
+    blocks : bool
+        Also look at the raster's own blocks.
+    """
+
+    tile: float
+    bucket: float = 0.0
+    blocks: bool = False
+
+    def between(self, low: float, high: float) -> list[float]:
+        """The edges in an interval, along one axis."""
+        first, last = math.ceil(low / self.tile) - 1, math.floor(high / self.tile) + 1
+        edges = [k * self.tile for k in range(first, last + 1)]
+        if self.bucket:
+            edges = [math.ceil(edge / self.bucket - 0.5) * self.bucket for edge in edges]
+        return sorted({edge for edge in edges if low < edge < high})
+
+
+class Pairs(NamedTuple):
+    """Steps and jumps (NaN: none) between neighbours, and which pairs lie on an edge, and beside one."""
+
+    steps: Floats
+    jumps: Floats
+    on_edge: dict[str, Bools]
+    beside: dict[str, Bools]
+
+
+@dataclass
+class Tally:
+    """Number, sum, largest of the steps and of the jumps."""
+
+    n: int = 0
+    step_sum: float = 0.0
+    step_max: float = 0.0
+    jumps: int = 0
+    jump_sum: float = 0.0
+    jump_max: float = 0.0
+
+    def add(self, steps: Floats, jumps: Floats) -> None:
+        """Count those that are there."""
+        steps, jumps = steps[np.isfinite(steps)], jumps[np.isfinite(jumps)]
+        self.n += steps.size
+        self.jumps += jumps.size
+        if steps.size:
+            self.step_sum += float(steps.sum())
+            self.step_max = max(self.step_max, float(steps.max()))
+        if jumps.size:
+            self.jump_sum += float(jumps.sum())
+            self.jump_max = max(self.jump_max, float(jumps.max()))
+
+    def facts(self) -> dict[str, Any]:
+        """As plain values; None where nothing was counted."""
+        return {
+            "pairs": self.n,
+            "mean_step": self.step_sum / self.n if self.n else None,
+            "largest_step": self.step_max if self.n else None,
+            "mean_jump": self.jump_sum / self.jumps if self.jumps else None,
+            "largest_jump": self.jump_max if self.jumps else None,
+        }
+
+
+@dataclass
+class _Counts:
+    """Tallies by kind of edge, and of all pairs on none."""
+
+    interior: Tally = field(default_factory=Tally)
+    edges: dict[str, Tally] = field(default_factory=dict)
+    beside: dict[str, Tally] = field(default_factory=dict)
+
+    def add(self, pairs: Pairs) -> None:
+        inside = np.ones(pairs.steps.shape, np.bool_)
+        for name, on_edge in pairs.on_edge.items():
+            self.edges.setdefault(name, Tally()).add(pairs.steps[on_edge], pairs.jumps[on_edge])
+            inside &= ~on_edge
+        for name, near in pairs.beside.items():
+            self.beside.setdefault(name, Tally()).add(pairs.steps[near], pairs.jumps[near])
+        self.interior.add(pairs.steps[inside], pairs.jumps[inside])
+
+
+def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
+    """Steps and jumps across edges and within tiles, read block by block.
+
+    Parameters
+    ----------
+    dtm : path
+        Without rotation.
+    edges : TileEdges
+
+    Returns
+    -------
+    dict
+        ``unit`` (of the heights), ``metres_per_unit``; ``tile``, ``bucket`` (units of the CRS); ``interior``, ``tiles``
+        and, if wanted, ``blocks``: ``pairs``,
+        ``mean_step``, ``largest_step``, ``mean_jump``, ``largest_jump`` in units of the heights, None where there is
+        none; ``beside_tiles``, ``beside_blocks``: the same of lines `BESIDE` the edges; ``excess``: mean jump across
+        edges of tiles above that beside them (of the interior, if tiles are too small for lines beside).
+
+    Raises
+    ------
+    InputError
+        The DTM cannot be read.
+    ConfigError
+        It is rotated, or the tile is no larger than three pixels.
+    """
+    with open_raster(dtm) as raster:
+        if raster.transform.b or raster.transform.d:
+            raise ConfigError(f"{dtm}: is rotated; seams need rows and columns along the axes")
+        if edges.tile < 4 * max(abs(raster.transform.a), abs(raster.transform.e)):
+            raise ConfigError(f"--tile-size {edges.tile:g}: must be four pixels at least")
+        metres, counts = vertical_unit(raster), _Counts()
+        for pairs in _pairs(raster, edges):
+            counts.add(pairs)
+    for tallies in (counts.edges, counts.beside):  # of a VRT without files there is nothing to count
+        tallies.setdefault("tiles", Tally())
+    found = {name: tally.facts() for name, tally in counts.edges.items()}
+    found |= {f"beside_{name}": tally.facts() for name, tally in counts.beside.items()}
+    interior = counts.interior.facts()
+    across, near = found["tiles"]["mean_jump"], found["beside_tiles"]["mean_jump"]
+    near = interior["mean_jump"] if near is None else near
+    excess = None if across is None or near is None else across - near
+    return {
+        "unit": unit_label(metres), "metres_per_unit": float(metres), "tile": edges.tile,
+        "bucket": edges.bucket, "interior": interior, **found, "excess": excess,
+    }  # fmt: skip
+
+
+def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
+    """`seam_steps` for tiles of a size in metres, or for those of the run that made the DTM.
+
+    Parameters
+    ----------
+    dtm : path
+    tile_m : Fraction or None
+        None: the tiles that the ``run.json`` beside the DTM tells of.
+
+    Returns
+    -------
+    dict or None
+        None where neither is there.
+
+    Raises
+    ------
+    TilerError
+        As `seam_steps` and `edges_of_run`; always where the DTM cannot be read.
+    """
+    metres = horizontal_unit(Path(dtm))
+    if tile_m is None:
+        edges = edges_of_run(Path(dtm))
+        return None if edges is None else seam_steps(dtm, edges)
+    if tile_m <= 0:
+        raise ConfigError(f"--tile-size {tile_m}: must be above 0")
+    return seam_steps(dtm, TileEdges(float(tile_m / metres)))
+
+
+def _pairs(raster: Any, edges: TileEdges) -> Iterator[Pairs]:
+    """All pairs of neighbours, first along rows, then along columns, block by block."""
+    transform, (height, width) = raster.transform, raster.shape
+    columns = _marks(transform.c, transform.a, width, edges)
+    rows = _marks(transform.f, transform.e, height, edges)
+    for row, col, high, wide in blocks_with_files(raster):
+        along = read_heights(raster, row, col - 2, high, wide + 3)
+        yield _differences(along, {k: m[None, col : col + wide] for k, m in columns.items()})
+        down = read_heights(raster, row - 2, col, high + 3, wide).T
+        yield _differences(down, {k: m[None, row : row + high] for k, m in rows.items()})
+
+
+def _differences(heights: Floats, marks: dict[str, Bools]) -> Pairs:
+    """Pairs between columns i + 1 and i + 2 of `heights`, which has three columns more than there are pairs."""
+    a, b, c, d = heights[:, :-3], heights[:, 1:-2], heights[:, 2:-1], heights[:, 3:]
+    steps = np.abs(c - b)
+    jumps = np.abs((c - b) - ((b - a) + (d - c)) / 2)
+    every = {name: np.broadcast_to(mark, steps.shape) for name, mark in marks.items()}
+    beside: dict[str, Bools] = {}
+    for name in ("tiles", "blocks"):
+        if name in every:
+            beside[name] = every.pop(f"beside_{name}")
+    return Pairs(steps, jumps, every, beside)
+
+
+def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bools]:
+    """For each pixel along an axis, whether an edge lies between its centre and that of the one before, or near."""
+    low, high = sorted((start, start + size * pixels))
+    found = np.zeros(pixels + 1, np.bool_)
+    for edge in edges.between(low, high):
+        # The first pixel, in the order of the file, whose centre lies on or beyond the edge.
+        place = (edge - start) / size - 0.5
+        found[min(math.ceil(place - 1e-9), pixels)] = True
+    found[0] = False
+    marks = {"tiles": found[:pixels]}
+    if edges.blocks:
+        at = np.arange(pixels)
+        marks["blocks"] = (at % BLOCK_PIXELS == 0) & (at > 0)
+    close = np.any([_within(BESIDE[0] - 1, mark) for mark in marks.values()], axis=0)
+    return marks | {f"beside_{name}": _within(BESIDE[1], mark) & ~close for name, mark in marks.items()}
+
+
+def _within(lines: int, mark: Bools) -> Bools:
+    """What lies no farther than so many lines from what is marked."""
+    return maximum_filter1d(mark.astype(np.uint8), 2 * lines + 1, mode="constant") > 0
+
+
+def edges_of_run(dtm: Path) -> TileEdges | None:
+    """The edges of the run that made a DTM, from the ``run.json`` beside it; None where there is none.
+
+    Raises
+    ------
+    InputError
+        The file is not what a run writes.
+    """
+    path = dtm.parent / "run.json"
+    if not path.is_file():
+        return None
+    from tiler.core.units import unit_named
+
+    try:
+        plan = read_object(path.read_text("utf-8"))["plan"]
+        metres = float(unit_named(plan["units"]["horizontal"]))
+        tile, bucket = plan["tile_m"] / metres, plan["bucket_m"] / metres
+        if not (0 < bucket < math.inf and 0 < tile < math.inf):
+            raise ValueError(f"tiles of {tile}, buckets of {bucket}")
+        return TileEdges(tile, bucket, blocks=True)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, ConfigError) as error:
+        raise InputError(f"{path}: is not of a run of this version ({error!r}); give --tile-size") from error

@@ -1,0 +1,160 @@
+"""Heights of overlapping flight strips against one another, told apart by their point source ids."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.classes import GROUND, WITHHELD_FLAG
+from tiler.core.spread import spread
+from tiler.core.units import METRE, unit_label
+from tiler.errors import InputError
+from tiler.io.las.columns import class_and_flags
+from tiler.io.las.headers import read_header
+from tiler.io.las.reader import EVERYTHING, PointReader
+from tiler.schedule import half_of_memory, read_apart
+
+CELL_M = 2.0
+LEAST_POINTS = 3
+"""Points of each strip in a cell that is compared."""
+MOST_ROUGH_M = 0.1
+"""Standard deviation of a strip's heights in a cell above which the cell is too rough or steep to be compared."""
+
+_STEP = 1_000_000
+
+Floats = npt.NDArray[np.float64]
+Int64s = npt.NDArray[np.int64]
+
+
+class Cells(NamedTuple):
+    """Sums per cell and strip.
+
+    Attributes
+    ----------
+    keys : int64 [3, n]
+        Strip, column, row; sorted by row, column, strip.
+    sums : float64 [3, n]
+        Points, sum of heights, sum of squared heights.
+    """
+
+    keys: Int64s
+    sums: Floats
+
+
+def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
+    """Compare the ground of strips in cells of 2 m that both have.
+
+    The files are read piece by piece; memory grows with the cells that hold ground.
+
+    Parameters
+    ----------
+    clouds : sequence of path
+        Files, folders, globs, all of one CRS, with class 2 for ground.
+
+    Returns
+    -------
+    dict
+        ``unit`` (of heights), ``metres_per_unit``; ``cell_m``; ``strips`` (points of ground by source id); ``cells``
+        (compared), ``rough`` (left out); ``all``: what `tiler.core.spread.spread` says of the differences;
+        ``pairs``: for each two strips ``first``, ``second``, ``cells`` and the spread of second minus first.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or there is no ground.
+    """
+    from tiler.ingest import find_inputs
+
+    paths = find_inputs(clouds, results=True)
+    return read_apart(_strips_of, paths, paths=paths, memory_bytes=half_of_memory())
+
+
+def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:
+    from tiler.ingest import inspect
+
+    place = inspect(paths[0]).georeference
+    horizontal = place.horizontal or METRE
+    vertical = place.vertical or horizontal
+    cells = Cells(np.empty((3, 0), np.int64), np.empty((3, 0)))
+    strips: dict[int, int] = {}
+    for path in paths:
+        for source, x, y, z in _ground(path):
+            for strip, points in zip(*np.unique(source, return_counts=True), strict=True):
+                strips[int(strip)] = strips.get(int(strip), 0) + int(points)
+            side = CELL_M / float(horizontal)
+            keys = np.stack(
+                (source, np.floor(x / side).astype(np.int64), np.floor(y / side).astype(np.int64))
+            )
+            cells = _merged(cells, Cells(keys, np.stack((np.ones(z.size), z, z**2))))
+    if not strips:
+        raise InputError(
+            f"{paths[0]}: no ground (class 2) in {len(paths)} files; name classified clouds, as `tiler run` writes them"
+        )
+    return {
+        "unit": unit_label(vertical),
+        "metres_per_unit": float(vertical),
+        "cell_m": CELL_M,
+        "strips": {str(strip): strips[strip] for strip in sorted(strips)},
+        **_compared(cells, MOST_ROUGH_M / float(vertical)),
+    }
+
+
+def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
+    """Source ids and coordinates of the ground points of a file, piece by piece."""
+    header = read_header(path)
+    with PointReader(header, EVERYTHING) as reader:
+        for start in range(0, header.point_count, _STEP):
+            records = reader.read(start, min(_STEP, header.point_count - start))
+            classes, flags = class_and_flags(records, header.point_format)
+            records = records[(classes == GROUND) & ((flags & WITHHELD_FLAG) == 0)]
+            x, y, z = (
+                records[axis] * scale + offset
+                for axis, scale, offset in zip("XYZ", header.scales, header.offsets, strict=True)
+            )
+            yield records["point_source_id"].astype(np.int64), x, y, z
+
+
+def _merged(one: Cells, other: Cells) -> Cells:
+    """Each cell of each strip once, with the sums of its figures."""
+    keys = np.concatenate((one.keys, other.keys), axis=1)
+    sums = np.concatenate((one.sums, other.sums), axis=1)
+    if keys.shape[1] == 0:
+        return one
+    order = np.lexsort(keys)
+    keys, sums = keys[:, order], sums[:, order]
+    first = np.flatnonzero(np.r_[True, np.any(keys[:, 1:] != keys[:, :-1], axis=0)])
+    return Cells(keys[:, first], np.add.reduceat(sums, first, axis=1))
+
+
+def _compared(cells: Cells, most_rough: float) -> dict[str, Any]:
+    """Differences of all pairs of strips in the cells that both have."""
+    n, total, squares = cells.sums
+    mean = total / n
+    deviation = np.sqrt(np.maximum(squares / n - mean**2, 0.0))
+    fit = (n >= LEAST_POINTS) & (deviation <= most_rough)
+    firsts: list[Int64s] = []
+    seconds: list[Int64s] = []
+    rough, step = 0, 1
+    while True:
+        # Strips of a cell follow one another, so those of a pair are `step` apart.
+        same = np.all(cells.keys[1:, step:] == cells.keys[1:, :-step], axis=0)
+        if not same.any():
+            break
+        usable = same & fit[step:] & fit[:-step]
+        rough += int(same.sum() - usable.sum())
+        firsts.append(np.flatnonzero(usable))
+        seconds.append(firsts[-1] + step)
+        step += 1
+    first = np.concatenate(firsts) if firsts else np.empty(0, np.int64)
+    second = np.concatenate(seconds) if seconds else np.empty(0, np.int64)
+    difference = mean[second] - mean[first]
+    of_first, of_second = cells.keys[0, first], cells.keys[0, second]
+    pairs = []
+    for a, b in sorted(set(zip(of_first.tolist(), of_second.tolist(), strict=True))):
+        own = difference[(of_first == a) & (of_second == b)]
+        pairs.append({"first": a, "second": b, "cells": int(own.size), **spread(own)})
+    return {"cells": int(difference.size), "rough": rough, "all": spread(difference), "pairs": pairs}

@@ -1,0 +1,76 @@
+"""`tiler clean`: what a run left behind and no later one needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tiler.errors import ConfigError
+from tiler.io.locations import is_scratch
+from tiler.io.result_folder import STORE, earlier_outputs, read_run
+from tiler.store import locked_folder, open_store
+
+
+def clean(out: Path, store_url: str | None = None) -> dict[str, Any]:
+    """Remove scratch and spool of a finished or broken run; the next run finds everything else done.
+
+    Kept are the points, the labels of all passes, the rasters and what is done. A run that later has to assemble
+    buckets anew, as for one more file, decodes again the pieces that touch them, and those alone.
+
+    Parameters
+    ----------
+    out : Path
+        The run's folder.
+    store_url : str, optional
+        Where its store lies; default: as its ``run.json`` says, else ``store.zarr`` in the folder.
+
+    Returns
+    -------
+    dict
+        ``scratch_files`` removed from the folder, ``removed_objects`` and ``removed_bytes`` of store and folder,
+        ``store_bytes`` left.
+
+    Raises
+    ------
+    ConfigError
+        No such folder.
+    StoreError
+        It has no store.
+    LockedError
+        A run is at work on the folder or its store.
+    """
+    if not out.is_dir():
+        raise ConfigError(f"{out}: no such folder; name the OUT of a run")
+    store = open_store(store_url or _store_of(out))
+    with locked_folder(str(out.resolve())), store.lock():
+        before = store.usage()
+        store.tidy()
+        after = store.usage()
+        scratch = list(_scratch(out))
+        sizes = [path.stat().st_size for path in scratch]
+        for path in scratch:
+            path.unlink(missing_ok=True)
+    return {
+        "scratch_files": len(scratch),
+        "removed_objects": before.objects - after.objects + len(scratch),
+        "removed_bytes": before.size_bytes - after.size_bytes + sum(sizes),
+        "store_bytes": after.size_bytes,
+    }
+
+
+def _scratch(out: Path) -> Iterator[Path]:
+    """Files that killed writes left, by the names that tiler gives them, in the folders into which it writes."""
+    if read_run(str(out)) is None:
+        return
+    folders = {out, *((out / path).parent for path in earlier_outputs(out, str(out.resolve())))}
+    for folder in sorted(folders):
+        if folder.is_dir() and folder.resolve().is_relative_to(out.resolve()):
+            yield from sorted(path for path in folder.iterdir() if is_scratch(path.name) and path.is_file())
+
+
+def _store_of(out: Path) -> str:
+    """The store that the run of a folder used."""
+    configuration = (read_run(str(out)) or {}).get("configuration")
+    named = configuration.get("store") if isinstance(configuration, dict) else None
+    return str(named or out.resolve() / STORE)

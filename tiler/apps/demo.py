@@ -1,0 +1,103 @@
+"""The demonstration: a simulated city through the whole job, scored against what is true."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from tiler.apps.evaluate import Scene, evaluate_dtm, evaluate_scenes
+from tiler.config import RunConfig
+from tiler.errors import ConfigError, refused_write
+from tiler.observe.events import Listener
+from tiler.pipeline import run
+from tiler.report.accuracy import EVALUATION, write_measured
+from tiler.report.html import write_report
+from tiler.simulate import DemoScene, demo_city, demo_files
+
+RESOLUTION_M = Fraction(1)
+"""Pixel of the true terrain, with which the DTM is compared pixel by pixel."""
+
+
+MARK = ".tiler-demo"
+"""Empty file in OUT/input, made before the clouds."""
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What came out.
+
+    Attributes
+    ----------
+    summary : dict
+        Of the run.
+    classes, dtm : dict
+        As `tiler.apps.evaluate.evaluate_scenes` and `tiler.apps.evaluate.evaluate_dtm` give them.
+    exit_code : int
+        Of the run.
+    """
+
+    summary: dict[str, Any]
+    classes: dict[str, Any]
+    dtm: dict[str, Any]
+    exit_code: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything as plain values."""
+        return asdict(self)
+
+
+def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) -> DemoResult:
+    """Simulate a city into OUT/input, run the whole job into OUT, score its classes and its DTM.
+
+    Parameters
+    ----------
+    out : path
+    seed : int
+        Of the city; the same seed gives the same clouds, so that a second demo has nothing to do.
+    config : RunConfig
+        Of the run, but for its resolution: the DTM gets that of the true terrain, 1 m.
+    listener : Listener
+        Told what happens.
+
+    Raises
+    ------
+    TilerError
+        As `tiler.pipeline.run` does; a file of these names that no demo made is not replaced.
+    """
+    out = Path(out)
+    _refuse_foreign_files(out, config)
+    listener("note", {"text": f"simulating a city of seed {seed} in {out / 'input'}"})
+    scene = demo_city(out / "input", seed)
+    config = config.updated(resolution=RESOLUTION_M)
+    result = run([str(path) for path in scene.paths], str(out), config, listener)
+    classes, dtm = _score_classes(out, scene), evaluate_dtm(out / "dtm.tif", scene.dtm_path)
+    write_measured(out, EVALUATION, {**classes, "dtm": dtm})
+    write_report(out)
+    return DemoResult(result.summary, classes, dtm, result.exit_code)
+
+
+def _refuse_foreign_files(out: Path, config: RunConfig) -> None:
+    """Raise ConfigError where files would be replaced that no demo made; what a demo began is marked as such."""
+    mark = out / "input" / MARK
+    wanted = [*demo_files(out / "input"), out / EVALUATION]
+    there = [path for path in wanted if os.path.lexists(path)]
+    if there and not mark.is_file() and not config.force:
+        raise ConfigError(
+            f"{there[0]}: there already, and not known to be of a demo; use another -o, or --force to replace it"
+        )
+    try:
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        mark.touch()
+    except OSError as error:
+        raise refused_write(str(mark), error, out) from error
+
+
+def _score_classes(out: Path, scene: DemoScene) -> dict[str, Any]:
+    """The errors over all clouds together, and of each."""
+    return evaluate_scenes([
+        Scene(path.stem, out / "classified" / path.name, truth)
+        for path, truth in zip(scene.paths, scene.truth_paths, strict=True)
+    ])  # fmt: skip

@@ -1,0 +1,188 @@
+"""The classes of a cloud against those of a reference cloud: the same points, in any order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.apps.evaluate.labels import IGNORED, class_scores, class_table, counts_of, scores
+from tiler.apps.evaluate.maps import ErrorGrid
+from tiler.core.classes import WITHHELD_FLAG
+from tiler.errors import InputError
+from tiler.io.las.columns import class_and_flags
+from tiler.io.las.headers import read_header
+from tiler.io.las.reader import NEEDED, PointReader
+
+_STEP = 1_000_000
+PER_UNIT = 10_000
+"""Coordinates are compared as counts of a ten thousandth of the CRS's unit."""
+
+UInt8s = npt.NDArray[np.uint8]
+Int64s = npt.NDArray[np.int64]
+
+
+class Points(NamedTuple):
+    """Some points of a file: coordinates (int64 counts, shape (3, n)), classes, and which are withheld."""
+
+    place: Int64s
+    classes: UInt8s
+    withheld: npt.NDArray[np.bool_]
+
+    def take(self, at: npt.NDArray[Any]) -> Points:
+        """Those at an index array or mask."""
+        return Points(self.place[:, at], self.classes[at], self.withheld[at])
+
+
+class Findings:
+    """What is gathered of the paired points of two files.
+
+    Attributes
+    ----------
+    table : int64, shape (256, 2)
+        As `tiler.apps.evaluate.labels.class_table`.
+    withheld : int
+        Points that the reference withholds, which are not judged.
+    grid : ErrorGrid or None
+    """
+
+    def __init__(self, grid: ErrorGrid | None = None) -> None:
+        self.table = np.zeros((256, 2), np.int64)
+        self.withheld = 0
+        self.grid = grid
+
+    def add(self, labels: UInt8s, reference: Points) -> None:
+        """Judge the labels of the reference's points."""
+        if reference.withheld.any():
+            self.withheld += int(reference.withheld.sum())
+            labels, reference = labels[~reference.withheld], reference.take(~reference.withheld)
+        self.table += class_table(labels, reference.classes)
+        if self.grid is not None:
+            self.grid.add(reference.place, PER_UNIT, labels, reference.classes)
+
+    def facts(self, ignore: Sequence[int]) -> dict[str, Any]:
+        """Scores, by class, and what was left out."""
+        per_class = self.table.sum(axis=1)
+        left_out: dict[str, int] = {str(code): int(per_class[code]) for code in ignore if per_class[code]}
+        return {
+            **scores(counts_of(self.table, ignore)),
+            "ignore": sorted(ignore),
+            "left_out": left_out,
+            "withheld": self.withheld,
+            "classes": class_scores(self.table, ignore),
+        }
+
+
+def evaluate_files(
+    cloud: Path | str, reference: Path | str, ignore: Sequence[int] = IGNORED
+) -> dict[str, Any]:
+    """Score the classes of a cloud against those of a reference cloud.
+
+    Files with the same points in the same order are read side by side in bounded memory. Otherwise each
+    point of the reference is looked up in the cloud by its exact coordinates (both are then held in memory);
+    points that lie at one place are paired in the order of their files. Points that the reference withholds are
+    not judged.
+
+    Returns
+    -------
+    dict
+        As `scores`, and ``ignore``; ``left_out`` (points by class that were left out); ``withheld`` (points);
+        ``classes`` (as `tiler.apps.evaluate.labels.class_scores`); ``matched_by`` (``order`` or ``coordinates``),
+        ``unmatched_reference`` and ``unmatched_cloud`` (points without a partner).
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or no point of the reference is in the cloud.
+    """
+    findings, how = compare_files(Path(cloud), Path(reference))
+    return {**findings.facts(ignore), **how}
+
+
+def compare_files(
+    cloud: Path, reference: Path, grid: ErrorGrid | None = None
+) -> tuple[Findings, dict[str, Any]]:
+    """What was found, and how the points were paired; see `evaluate_files`.
+
+    ``grid``, empty, is filled with the errors by place. Raises InputError.
+    """
+    findings = Findings(grid)
+    if _in_order(cloud, reference, findings):
+        return findings, {"matched_by": "order", "unmatched_reference": 0, "unmatched_cloud": 0}
+    if grid is not None:
+        grid.clear()
+    findings = Findings(grid)
+    mine, true = _whole(cloud), _whole(reference)
+    in_cloud, in_reference = _pairs(mine.place, true.place)
+    if len(in_cloud) == 0:
+        raise InputError(f"{reference}: none of its points is in {cloud}; name the reference of this cloud")
+    findings.add(mine.classes[in_cloud], true.take(in_reference))
+    return findings, {
+        "matched_by": "coordinates",
+        "unmatched_reference": len(true.classes) - len(in_reference),
+        "unmatched_cloud": len(mine.classes) - len(in_cloud),
+    }
+
+
+def _read(path: Path) -> Iterator[Points]:
+    """The points of a file, piece by piece."""
+    header = read_header(path)
+    with PointReader(header, NEEDED) as reader:
+        for start in range(0, header.point_count, _STEP):
+            records = reader.read(start, min(_STEP, header.point_count - start))
+            place = np.stack([
+                np.round((records[axis] * scale + offset) * PER_UNIT).astype(np.int64)
+                for axis, scale, offset in zip("XYZ", header.scales, header.offsets, strict=True)
+            ])  # fmt: skip
+            classes, flags = class_and_flags(records, header.point_format)
+            yield Points(place, classes, (flags & WITHHELD_FLAG) > 0)
+
+
+def _in_order(cloud: Path, reference: Path, findings: Findings) -> bool:
+    """Judge two files side by side; False, with findings that count for nothing, if their orders differ."""
+    if read_header(cloud).point_count != read_header(reference).point_count:
+        return False
+    for mine, true in zip(_read(cloud), _read(reference), strict=True):
+        if not np.array_equal(mine.place, true.place):
+            return False
+        findings.add(mine.classes, true)
+    return True
+
+
+def _whole(path: Path) -> Points:
+    parts = list(_read(path))
+    if not parts:
+        raise InputError(f"{path}: no points; nothing to compare")
+    return Points(
+        np.concatenate([p.place for p in parts], axis=1),
+        np.concatenate([p.classes for p in parts]),
+        np.concatenate([p.withheld for p in parts]),
+    )
+
+
+def _pairs(place: Int64s, true_place: Int64s) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Indices of the points that both have."""
+    both = np.concatenate((place, true_place), axis=1)
+    # The n-th point at a place pairs with the n-th point of the other file there, whatever stands between.
+    order = np.lexsort((both[2], both[1], both[0]))
+    ordered = both[:, order]
+    new = np.r_[True, np.any(ordered[:, 1:] != ordered[:, :-1], axis=0)]
+    group = np.empty(len(order), np.int64)
+    group[order] = np.cumsum(new) - 1
+    mine, other = (_numbered(part) for part in np.split(group, [place.shape[1]]))
+    _, in_cloud, in_reference = np.intersect1d(mine, other, assume_unique=True, return_indices=True)
+    return in_cloud, in_reference
+
+
+def _numbered(group: Int64s) -> Int64s:
+    """One number for each (place, how many of that place came before)."""
+    order = np.argsort(group, kind="stable")
+    ordered = group[order]
+    start = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]]) if len(group) else np.empty(0, np.intp)
+    turn = np.arange(len(group)) - np.repeat(start, np.diff(np.r_[start, len(group)]))
+    out = np.empty(len(group), np.int64)
+    out[order] = (ordered << 24) + np.minimum(turn, (1 << 24) - 1)
+    return out

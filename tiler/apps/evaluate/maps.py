@@ -1,0 +1,210 @@
+"""Where the errors are: cells with the kinds of errors and their shares, as GeoTIFF and PNG."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import rasterio
+from affine import Affine
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from tiler.core.classes import GROUND
+from tiler.errors import ConfigError
+from tiler.export.geotiff import CACHE_MB, TILE, raster_errors
+from tiler.export.picture import write_png
+from tiler.io.locations import appearing
+
+RIGHT, TYPE_1, TYPE_2, BOTH, NONE = 0, 1, 2, 3, 255
+"""Codes of a cell: all points right, ground lost, objects taken for ground, both, no point that counts."""
+
+BANDS = (
+    "code: 0 right, 1 type I (ground lost), 2 type II (object taken), 3 both",
+    "type I, percent of the cell's points",
+    "type II, percent of the cell's points",
+)
+MOST_CELLS = 1 << 31
+LARGEST_PICTURE = 4000
+"""Pixels of a PNG's longer side; beyond, its cells are larger than the GeoTIFF's."""
+
+_COLOURS = {
+    RIGHT: (205, 205, 200, 255), TYPE_1: (214, 39, 40, 255), TYPE_2: (31, 90, 200, 255), BOTH: (148, 60, 180, 255),
+    NONE: (0, 0, 0, 0),
+}  # fmt: skip
+"""Grey; red and blue as in figure 12 of Chen 2023; violet; transparent."""
+
+Int64s = npt.NDArray[np.int64]
+UInt8s = npt.NDArray[np.uint8]
+
+
+class ErrorGrid:
+    """Counts of right and wrong points per cell; memory grows with the cells that hold points.
+
+    Parameters
+    ----------
+    cell : Fraction
+        Side of a cell in units of the CRS; the lattice is anchored at coordinate 0.
+    ignore : sequence of int
+        True classes that are left out.
+    """
+
+    def __init__(self, cell: Fraction, ignore: Sequence[int]) -> None:
+        self.cell = cell
+        self._left_out = np.zeros(256, np.bool_)
+        self._left_out[list(ignore)] = True
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all points."""
+        self.places: Int64s = np.empty((2, 0), np.int64)
+        self.counts: Int64s = np.empty((3, 0), np.int64)
+
+    def add(self, place: Int64s, per_unit: int, labels: UInt8s, truth: UInt8s) -> None:
+        """Count points.
+
+        Parameters
+        ----------
+        place : int64, shape (2 or more, n)
+            x and y in counts.
+        per_unit : int
+            Counts in a unit of the CRS.
+        labels, truth : uint8, shape (n,)
+        """
+        seen = ~self._left_out[truth]
+        side = self.cell * per_unit
+        cells = (place[:2, seen] * side.denominator) // side.numerator
+        lost = (truth[seen] == GROUND) & (labels[seen] != GROUND)
+        taken = (truth[seen] != GROUND) & (labels[seen] == GROUND)
+        counts = np.stack((np.ones(lost.size, np.int64), lost, taken)).astype(np.int64)
+        self.places, self.counts = _summed(
+            np.concatenate((self.places, cells), axis=1), np.concatenate((self.counts, counts), axis=1)
+        )
+
+    def coarser(self, factor: int) -> ErrorGrid:
+        """The same in cells ``factor`` times as large."""
+        grid = ErrorGrid(self.cell * factor, np.flatnonzero(self._left_out).tolist())
+        grid.places, grid.counts = _summed(self.places // factor, self.counts)
+        return grid
+
+    @property
+    def extent(self) -> tuple[int, int, int, int]:
+        """West, north (its first cell from the south), width and height in cells."""
+        low, high = self.places.min(axis=1), self.places.max(axis=1)
+        return int(low[0]), int(high[1]), int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
+
+    def bands(self, first_row: int, rows: int) -> UInt8s:
+        """The bands of `BANDS` for some rows from the north, uint8 of shape (3, rows, width)."""
+        west, north, width, _ = self.extent
+        found = np.full((3, rows, width), NONE, np.uint8)
+        row = north - self.places[1] - first_row
+        here = (row >= 0) & (row < rows)
+        points, lost, taken = self.counts[:, here]
+        at = (row[here], self.places[0, here] - west)
+        found[0][at] = (lost > 0) * TYPE_1 + (taken > 0) * TYPE_2
+        for band, wrong in ((1, lost), (2, taken)):
+            found[band][at] = np.ceil(100 * wrong / points).astype(np.uint8)
+        return found
+
+
+def _summed(places: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
+    """Each place once, with the sums of its counts."""
+    if places.shape[1] == 0:
+        return places, counts
+    order = np.lexsort((places[0], places[1]))
+    places = places[:, order]
+    first = np.flatnonzero(np.r_[True, np.any(places[:, 1:] != places[:, :-1], axis=0)])
+    return places[:, first], np.add.reduceat(counts[:, order], first, axis=1)
+
+
+def refuse_foreign_maps(folder: Path, names: Sequence[str]) -> None:
+    """Raise ConfigError for a file that has the name of a map of errors and is none."""
+    for tif, png in ((folder / f"{name}.tif", folder / f"{name}.png") for name in names):
+        there = [path for path in (tif, png) if os.path.lexists(path)]
+        if there and not _is_map(tif):
+            raise ConfigError(
+                f"{there[0]}: there already, and no map of errors; name another folder with --maps"
+            )
+
+
+def _is_map(tif: Path) -> bool:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(tif) as raster:
+                return tuple(raster.descriptions) == BANDS
+    except RasterioError:
+        return False
+
+
+def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -> list[str]:
+    """Write ``<folder>/<name>.tif`` (bands as in `BANDS`, nodata 255) and a picture of its codes beside it.
+
+    Parameters
+    ----------
+    grid : ErrorGrid
+    folder : Path
+        Made if it is not there.
+    name : str
+    crs : str or None
+        WKT or authority code.
+
+    Returns
+    -------
+    list of str
+        The files; none where no point counted.
+
+    Raises
+    ------
+    ConfigError
+        More cells than a map can have.
+    ProcessingError
+        The files cannot be written.
+    """
+    if grid.places.shape[1] == 0:
+        return []
+    _, _, width, height = grid.extent
+    if width * height > MOST_CELLS:
+        raise ConfigError(
+            f"{name}: an error map of {width} x {height} cells is too large; use larger --map-cell"
+        )
+    tif, png = folder / f"{name}.tif", folder / f"{name}.png"
+    with raster_errors(folder):
+        tif.parent.mkdir(parents=True, exist_ok=True)
+    _write_geotiff(grid, tif, crs)
+    factor = math.ceil(max(width, height) / LARGEST_PICTURE)
+    small = grid if factor == 1 else grid.coarser(factor)
+    table = np.zeros((256, 4), np.uint8)
+    for code, colour in _COLOURS.items():
+        table[code] = colour
+    write_png(png, table[small.bands(0, small.extent[3])[0]])
+    return [str(tif), str(png)]
+
+
+def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
+    west, north, width, height = grid.extent
+    side = float(grid.cell)
+    profile = {
+        "driver": "GTiff", "height": height, "width": width, "count": len(BANDS), "dtype": "uint8", "nodata": NONE,
+        "crs": crs, "transform": Affine(side, 0, float(west * grid.cell), 0, -side, float((north + 1) * grid.cell)),
+        "tiled": True, "blockxsize": TILE, "blockysize": TILE, "compress": "deflate", "BIGTIFF": "IF_SAFER",
+    }  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with (
+            rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
+            raster_errors(path),
+            appearing(path) as partial,
+            rasterio.open(partial, "w", **profile) as raster,
+        ):
+            for row in range(0, height, TILE):
+                rows = min(TILE, height - row)
+                raster.write(grid.bands(row, rows), window=Window(0, row, width, rows))
+            for band, text in enumerate(BANDS, start=1):
+                raster.set_band_description(band, text)

@@ -1,0 +1,41 @@
+"""Rasters that somebody else made, opened so that whatever is wrong with one is an error of one line that names it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tiler.errors import InputError
+from tiler.redaction import printable
+
+
+@contextmanager
+def open_raster(path: Path | str, what: str = "cannot be read") -> Iterator[Any]:
+    """The data set of rasterio, for as long as it is used.
+
+    Raises
+    ------
+    InputError
+        The raster cannot be opened or read, or what it says of itself is no text or no CRS.
+    """
+    import rasterio
+
+    with raster_named(path, what), rasterio.open(path) as raster:
+        # Damaged text is told of here: where two rasters are open, it is not known later whose it was.
+        _ = raster.units, raster.tags(), raster.tags(1), raster.crs
+        yield raster
+
+
+@contextmanager
+def raster_named(path: Path | str, what: str = "cannot be read") -> Iterator[None]:
+    """Turn whatever reading a raster raises into an InputError that names it."""
+    from pyproj.exceptions import ProjError
+    from rasterio.errors import CRSError, RasterioError
+
+    try:
+        yield
+    except (RasterioError, CRSError, ProjError, UnicodeDecodeError) as error:
+        reason = printable(" ".join(str(error).split()))
+        raise InputError(f"{path}: {what} ({reason}); name a readable raster") from error

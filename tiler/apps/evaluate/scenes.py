@@ -1,0 +1,241 @@
+"""Many clouds at once: which reference belongs to which, each scene's scores, all together, and their means."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from tiler.apps.evaluate.clouds import Findings, compare_files
+from tiler.apps.evaluate.labels import IGNORED, mean_scores
+from tiler.apps.evaluate.maps import ErrorGrid, write_error_map
+from tiler.config import RunConfig
+from tiler.core.units import METRE
+from tiler.errors import ConfigError, ProcessingError
+from tiler.observe.events import Listener, silent
+from tiler.schedule import half_of_memory, read_apart
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A cloud and the cloud with its true classes.
+
+    Attributes
+    ----------
+    name : str
+    cloud, reference : Path
+    """
+
+    name: str
+    cloud: Path
+    reference: Path
+
+
+@dataclass(frozen=True)
+class MapRequest:
+    """Where error maps go.
+
+    Attributes
+    ----------
+    folder : Path
+    cell_m : Fraction
+        Side of a cell, metres.
+    """
+
+    folder: Path
+    cell_m: Fraction = Fraction(1)
+
+
+def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) -> list[Scene]:
+    """Say which reference belongs to which cloud.
+
+    Parameters
+    ----------
+    clouds, references : sequence of path
+        Files, folders, globs. One cloud has all the references. Files named one by one, as many clouds as
+        references, are paired in their order; else each reference belongs to the cloud of the same name (without
+        its suffix), of several to the one at the same place below its folder.
+
+    Raises
+    ------
+    ConfigError
+        Nothing is there, or a reference has no cloud, or several.
+    """
+    mine, true = _expanded(clouds), _expanded(references)
+    one_by_one = len(mine) == len(clouds) and len(true) == len(references)
+    if len(mine) == 1:
+        partners = [mine[0][0]] * len(true)
+    elif one_by_one and len(mine) == len(true):
+        partners = [path for path, _ in mine]
+    else:
+        partners = [_partner(mine, path, place) for path, place in true]
+    names = _names(true)
+    return [Scene(name, cloud, path) for name, cloud, (path, _) in zip(names, partners, true, strict=True)]
+
+
+def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) -> Path:
+    """The one cloud that is named as a reference is; raises ConfigError."""
+    found = [cloud for cloud in clouds if cloud[0].stem == reference.stem]
+    if len(found) > 1:
+        found = [cloud for cloud in found if cloud[1] == place]
+    if len(found) != 1:
+        raise ConfigError(
+            f"{reference}: {len(found) or 'none'} of the {len(clouds)} clouds {'are' if found else 'is'} named "
+            f"{reference.stem}; name clouds and references alike, or in the same order"
+        )
+    return found[0][0]
+
+
+def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
+    """Files, with their place below the folder that was named (without suffix), in the order of `paths`."""
+    from tiler.ingest import find_inputs
+
+    found: dict[Path, str] = {}
+    for text in paths:
+        for path in find_inputs([text], results=True):
+            base = Path(text) if Path(text).is_dir() else path.parent
+            found.setdefault(path, path.relative_to(base).with_suffix("").as_posix())
+    return list(found.items())
+
+
+def _names(references: Sequence[tuple[Path, str]]) -> list[str]:
+    """The references' names, with their folders where those are not unique, else with a number; they name maps."""
+    for names in (
+        [path.stem for path, _ in references],
+        [place.replace("/", "_") for _, place in references],
+    ):
+        if len(set(names)) == len(names):
+            return names
+    return [f"{path.stem}-{number}" for number, (path, _) in enumerate(references, start=1)]
+
+
+def evaluate_scenes(
+    scenes: Sequence[Scene],
+    ignore: Sequence[int] = IGNORED,
+    maps: MapRequest | None = None,
+    listener: Listener = silent,
+) -> dict[str, Any]:
+    """Score each scene, and all points together.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+    ignore : sequence of int
+        True classes that are left out.
+    maps : MapRequest, optional
+        Write a map of the errors of each scene.
+    listener : callable
+        Told what happens, see `tiler.observe.events`.
+
+    Returns
+    -------
+    dict
+        Of all points together as `tiler.apps.evaluate.evaluate_files` says, without ``matched_by``; ``mean``: the
+        scenes' mean errors, each scene of the same weight; ``scenes``: for each ``name``, ``cloud``, ``reference``,
+        its own scores, and ``maps``, the files written.
+
+    Raises
+    ------
+    TilerError
+    """
+    total, results = Findings(), []
+    for scene in scenes:
+        listener("note", {"text": f"{scene.name}: {scene.cloud} against {scene.reference}"})
+        findings, how, written = read_apart(
+            _compare, scene, ignore, maps, paths=(scene.cloud, scene.reference), memory_bytes=half_of_memory()
+        )
+        total.table += findings.table
+        total.withheld += findings.withheld
+        results.append({
+            "name": scene.name, "cloud": str(scene.cloud), "reference": str(scene.reference),
+            **findings.facts(ignore), **how, "maps": written,
+        })  # fmt: skip
+    return {
+        **total.facts(ignore),
+        **{name: sum(r[name] for r in results) for name in ("unmatched_reference", "unmatched_cloud")},
+        "mean": mean_scores(results),
+        "scenes": results,
+    }
+
+
+def _compare(
+    scene: Scene, ignore: Sequence[int], maps: MapRequest | None
+) -> tuple[Findings, dict[str, Any], list[str]]:
+    """What is found of a scene, how its points were paired, and the maps written."""
+    grid = None if maps is None else _grid(scene.reference, maps.cell_m, ignore)
+    findings, how = compare_files(scene.cloud, scene.reference, grid)
+    written = [] if maps is None or grid is None else _write_map(grid, maps, scene)
+    findings.grid = None  # it stays here
+    return findings, how, written
+
+
+def _grid(reference: Path, cell_m: Fraction, ignore: Sequence[int]) -> ErrorGrid:
+    from tiler.ingest import inspect
+
+    return ErrorGrid(cell_m / (inspect(reference).georeference.horizontal or METRE), ignore)
+
+
+def _write_map(grid: ErrorGrid, maps: MapRequest, scene: Scene) -> list[str]:
+    from tiler.ingest import inspect
+
+    return write_error_map(grid, maps.folder, scene.name, inspect(scene.reference).georeference.wkt)
+
+
+def filter_and_evaluate(
+    clouds: Sequence[str | Path],
+    config: RunConfig,
+    ignore: Sequence[int] = IGNORED,
+    maps: MapRequest | None = None,
+    listener: Listener = silent,
+) -> dict[str, Any]:
+    """Filter labelled clouds, whose classes the filter does not get to see, and score the result against them.
+
+    Every point takes part, whatever its class: with the classes that a run leaves alone (noise, water, bridges) the
+    truth would help the filter. Only withheld points stay out; they are not judged either.
+
+    Parameters
+    ----------
+    clouds : sequence of path
+        Files, folders, globs, with true classes.
+    config : RunConfig
+        Of the filter; `keep_classes` is overruled.
+    ignore, maps, listener
+        See `evaluate_scenes`.
+
+    Returns
+    -------
+    dict
+        As `evaluate_scenes`; each scene has ``seconds``; ``method`` and ``parameters`` say what was run.
+
+    Raises
+    ------
+    TilerError
+    """
+    from tiler.apps.classify import classify_file
+
+    blind = config.updated(keep_classes=())
+    listener("note", {"text": "the classes of the clouds are not shown to the filter"})
+    with TemporaryDirectory(prefix=".tiler-evaluate-") as scratch:
+        scenes, filtered = [], []
+        for number, scene in enumerate(find_scenes(clouds, clouds)):
+            target = Path(scratch) / f"{number}.laz"
+            made = classify_file(scene.reference, target, blind, listener)
+            _refuse_failed(scene, made["failed_tasks"])
+            filtered.append(made)
+            scenes.append(Scene(scene.name, target, scene.reference))
+        facts = evaluate_scenes(scenes, ignore, maps)
+    for result, made in zip(facts["scenes"], filtered, strict=True):
+        result |= {"cloud": result["reference"], "seconds": made["seconds"]}
+    return {**facts, "method": config.method, "parameters": filtered[0]["parameters"]}
+
+
+def _refuse_failed(scene: Scene, failed: Sequence[Mapping[str, Any]]) -> None:
+    """Raise ProcessingError where a tile failed: its points have their true classes still."""
+    if failed:
+        raise ProcessingError(
+            f"{scene.reference}: not scored, as {len(failed)} of its tasks failed ({failed[0]['stage']} "
+            f"{failed[0]['key']}: {failed[0]['error']}); its points there have their true classes"
+        )

@@ -1,0 +1,254 @@
+"""A look at what the settings give, in seconds: a few windows of the clouds at full density, as one picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.config import RunConfig
+from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.errors import InputError
+from tiler.export.picture import write_png
+from tiler.grid.shape import gradients, multidirectional_hillshade
+from tiler.ingest import SourceInfo, read_guarded
+from tiler.io.las.extract import Box, cut_windows, sample_places
+from tiler.io.overwrite_check import Target, check_targets
+from tiler.observe.events import Listener, silent
+from tiler.pipeline import run
+from tiler.plan import Plan, make_plan
+from tiler.schedule import Guard
+from tiler.store import TileStore, open_store
+
+WIDEST_M, NARROWEST_M = 200.0, 20.0
+MOST_POINTS = 700_000
+"""A window holds no more points, unless its side is given: one core filters and grids them in a few seconds."""
+FILES = 6
+"""Places for windows are sampled from so many files at most."""
+PLACES = 24
+"""Sampled of all files together, at least one of each."""
+GAP = 6
+WIDE_PIXELS = 320
+"""Pictures of windows have at least so many pixels a side."""
+EMPTY_GREY, PAPER = 236, 255
+
+Shade = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Window:
+    """A window of the picture.
+
+    Attributes
+    ----------
+    bounds : tuple of 4 float
+        Lowest x, y, highest x, y in units of the CRS.
+    points, ground : int
+    failed : int
+        Tasks that failed: where they did, the picture has a hole.
+    """
+
+    bounds: Box
+    points: int
+    ground: int
+    failed: int = 0
+
+
+def make_preview(
+    inputs: Sequence[str],
+    target: str | Path,
+    config: RunConfig | None = None,
+    listener: Listener = silent,
+    *,
+    number: int = 3,
+    side_m: float | None = None,
+) -> list[Window]:
+    """Shade surface and terrain of a few windows of the clouds, as a run with these settings would make them.
+
+    Each window is done alone: at its border, and by statistics of a whole run, the run may differ. Of all files only
+    those that windows touch are decoded.
+
+    Parameters
+    ----------
+    inputs : sequence of str
+        Files, folders, globs.
+    target : path
+        PNG: a column for each window, the surface (highest returns) above the terrain.
+    config : RunConfig
+    listener : callable
+        Told what the plan notes, and each warning once.
+    number : int
+        Of windows, at most: they do not overlap.
+    side_m : float, optional
+        Of a window, metres; default: up to 200, less where clouds are dense.
+
+    Raises
+    ------
+    TilerError
+        As `tiler.pipeline.run` does.
+    """
+    config, picture = config or RunConfig(), Target("-o", target, (".png",))
+    check_targets([picture], [])
+    plan = make_plan(inputs, config)
+    check_targets([picture], [*(s.path for s in plan.sources), *(path for path, _ in plan.unreadable)])
+    tell = _once(listener)
+    for text in plan.notes:
+        listener("note", {"text": text})
+    for text in plan.warnings:
+        tell("warning", {"text": text})
+    sources = [s for s in plan.sources if s.points and s.bounds is not None]
+    side = _side(plan, side_m)
+    with TemporaryDirectory(prefix=".tiler-preview-") as scratch, Guard() as guard:
+        places = _places(guard, sources, config.salvage)
+        windows = spread(places, number, side, _hull(sources))
+        files = _cut(guard, sources, windows, Path(scratch), config.salvage)
+        settings = _settings(plan)
+        columns: list[tuple[Shade, Shade]] = []
+        found: list[Window] = []
+        for bounds, paths in zip(windows, files, strict=True):
+            if paths:
+                listener("note", {"text": f"window {len(found) + 1}"})
+                column, window = _window(bounds, paths, settings, tell)
+                columns.append(column)
+                found.append(window)
+    write_png(Path(target), _montage(columns))
+    return found
+
+
+def _once(listener: Listener) -> Listener:
+    """Warnings of windows, each once; neither their notes nor their progress."""
+    told: set[str] = set()
+
+    def tell(kind: str, facts: dict[str, Any]) -> None:
+        if kind == "warning" and facts["text"] not in told:
+            told.add(facts["text"])
+            listener(kind, facts)
+
+    return tell
+
+
+def _side(plan: Plan, side_m: float | None) -> float:
+    """Side of a window in units of the CRS."""
+    if side_m is None:
+        side_m = min(WIDEST_M, math.sqrt(MOST_POINTS / plan.density))
+        side_m = max(side_m // 10 * 10, NARROWEST_M)
+    return side_m / float(plan.meta.frame.units.horizontal)
+
+
+def _places(guard: Guard, sources: Sequence[SourceInfo], salvage: bool) -> list[tuple[float, float]]:
+    chosen = sorted({len(sources) * i // FILES for i in range(FILES)})
+    each = max(PLACES // len(chosen), 1)
+    places = []
+    for source in (sources[i] for i in chosen):
+        places += read_guarded(guard, sample_places, source.path, each, salvage)
+    return places
+
+
+def _hull(sources: Sequence[SourceInfo]) -> Box:
+    bounds = [s.bounds for s in sources if s.bounds is not None]
+    low, high = (min(b[i] for b in bounds) for i in (0, 1)), (max(b[i] for b in bounds) for i in (3, 4))
+    x0, y0 = low
+    x1, y1 = high
+    return x0, y0, x1, y1
+
+
+def spread(places: Sequence[tuple[float, float]], number: int, side: float, hull: Box) -> list[Box]:
+    """Squares around some of the places, far from one another and not overlapping, inside the hull if they fit.
+
+    The first is the place next to the middle of all; each further one is that farthest from those chosen.
+    """
+    where = np.array(sorted(set(places)), dtype=np.float64).reshape(-1, 2)
+    half = side / 2
+    for axis in (0, 1):
+        low, high = hull[axis] + half, hull[axis + 2] - half
+        where[:, axis] = np.clip(where[:, axis], low, high) if low < high else (low + high) / 2
+    distance = np.abs(where - np.median(where, axis=0)).max(axis=1) if len(where) else np.zeros(0)
+    chosen: list[Box] = []
+    pick = int(np.argmin(distance)) if len(where) else -1
+    nearest = np.full(len(where), np.inf)
+    while len(chosen) < number and pick >= 0:
+        x, y = where[pick].tolist()
+        chosen.append((x - half, y - half, x + half, y + half))
+        nearest = np.minimum(nearest, np.abs(where - where[pick]).max(axis=1))
+        pick = int(np.argmax(nearest))
+        if nearest[pick] < side:
+            break
+    return sorted(chosen)
+
+
+def _cut(
+    guard: Guard, sources: Sequence[SourceInfo], windows: Sequence[Box], scratch: Path, salvage: bool
+) -> list[list[str]]:
+    """Files that hold the points of each window."""
+    files: list[list[str]] = [[] for _ in windows]
+    for number, source in enumerate(sources):
+        assert source.bounds is not None  # the caller's choice
+        x0, y0, _, x1, y1, _ = source.bounds
+        mine = [i for i, w in enumerate(windows) if w[0] <= x1 and x0 <= w[2] and w[1] <= y1 and y0 <= w[3]]
+        if not mine:
+            continue
+        targets = [str(scratch / f"w{i}-{number}.las") for i in mine]
+        counts = read_guarded(guard, cut_windows, source.path, [windows[i] for i in mine], targets, salvage)
+        for i, path, count in zip(mine, targets, counts, strict=True):
+            files[i] += [path] if count else []
+    if not any(files):
+        raise InputError("no window holds a point; name other --windows or a larger --size")
+    return files
+
+
+def _settings(plan: Plan) -> RunConfig:
+    """Those of the run but for where and how much."""
+    return plan.config.updated(
+        products=("dtm", "dsm"), resolution=plan.resolution, sheets=None, bounds=None, aoi=None, store=None,
+        scheduler=None, workers=1, in_process=True, overwrite=False, force=False, clean_store=False, salvage=False,
+        crs=plan.config.crs or plan.meta.frame.crs_wkt or "none",
+    )  # fmt: skip
+
+
+def _window(
+    bounds: Box, paths: Sequence[str], config: RunConfig, listener: Listener
+) -> tuple[tuple[Shade, Shade], Window]:
+    """Surface and terrain of a window, shaded, and what was found in it."""
+    out = Path(paths[0]).with_suffix("")
+    summary = run(paths, out, config, listener, until="grid").summary
+    store = open_store(str(out / "store.zarr"))
+    ground = summary["filter"]["ground"] if "filter" in summary else summary["counts"]["participating"]
+    failed = summary["failed_tasks"]
+    for task in failed:
+        listener("warning", {"text": f"{task['stage']} {task['key']} failed: {task['error']}"})
+    window = Window(bounds, summary["counts"]["stored"], ground, len(failed))
+    return (_shade(store, "dsm"), _shade(store, "dtm")), window
+
+
+def _shade(store: TileStore, name: str) -> Shade:
+    """A raster of the store as a hillshade, uint8 of shape (height, width)."""
+    spec = RasterSpec.from_json(store.get_state(f"raster-{name}") or {})
+    heights = store.read_block(name, Block(0, 0, spec.height, spec.width)).astype(np.float64)
+    heights[heights == NODATA] = np.nan
+    frame = store.meta.frame
+    step = float(spec.lattice.size * frame.metres_xy / frame.units.vertical)
+    shade = multidirectional_hillshade(*gradients(np.pad(heights, 1, constant_values=np.nan), step))
+    return np.where(np.isnan(shade), EMPTY_GREY, shade).astype(np.uint8)
+
+
+def _montage(columns: Sequence[Sequence[Shade]]) -> npt.NDArray[np.uint8]:
+    """All pictures on white paper, RGBA; small ones with larger pixels."""
+    largest = max(max(picture.shape) for column in columns for picture in column)
+    times = max(math.ceil(WIDE_PIXELS / largest), 1)
+    pictures = [[np.kron(p, np.ones((times, times), np.uint8)) for p in column] for column in columns]
+    high = [max(column[row].shape[0] for column in pictures) for row in range(2)]
+    wide = [max(picture.shape[1] for picture in column) for column in pictures]
+    paper = np.full((sum(high) + GAP, sum(wide) + GAP * (len(wide) - 1)), PAPER, np.uint8)
+    for row in range(2):
+        for number, column in enumerate(pictures):
+            top, left = row * (high[0] + GAP), sum(wide[:number]) + number * GAP
+            height, width = column[row].shape
+            paper[top : top + height, left : left + width] = column[row]
+    opaque = np.full_like(paper, 255)
+    return np.stack((paper, paper, paper, opaque), axis=-1)

@@ -1,0 +1,226 @@
+"""The run's settings: one frozen dataclass, the only home of their defaults, help texts and units.
+
+The command line, ``tiler config --template`` and the documentation are generated from the fields' metadata.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from ptd.params import UNIT_SUFFIXES
+from tiler.config.parsing import parse_pairs, parse_value, plain_value
+from tiler.config.presets import load_preset, preset_names
+from tiler.core.products import NODATA, PRODUCTS
+from tiler.errors import ConfigError
+
+
+def setting(
+    default: Any, help: str, *, unit: str = "", kind: str = "text", choices: tuple[str, ...] = ()
+) -> Any:
+    """A field of `RunConfig` with what people need to know about it."""
+    return field(default=default, metadata={"help": help, "unit": unit, "kind": kind, "choices": choices})
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that a run can be told; ``None`` means "decide from the data, and say so"."""
+
+    preset: str | None = setting(
+        None, "settings to start from: " + ", ".join(preset_names()) + "; those of --config and then those of the "
+        "command line win; `tiler config --preset NAME` shows them", kind="preset",
+    )  # fmt: skip
+    method: str = setting("auto", "ground filter (see `tiler methods`); `keep` trusts the input's classes")
+    parameters: tuple[tuple[str, str], ...] = setting(
+        (), "parameters of the method, name=value (`tiler methods NAME` lists them)", kind="pairs"
+    )
+    ground_classes: tuple[int, ...] = setting(
+        (2,), "classes that `--method keep` grids as ground", kind="classes"
+    )
+    products: tuple[str, ...] = setting(
+        ("dtm",), "rasters to write, each as OUT/<name>.tif: dtm, dsm (surface), ndsm (surface above the terrain), "
+        "hillshade, slope (degrees), density (ground points per m2), distance (to the nearest ground point, m), mask "
+        "(where heights come from)", kind="names", choices=tuple(PRODUCTS),
+    )  # fmt: skip
+    sheets: Fraction | None = setting(None, "side of the sheets into which each product is cut: files "
+                                      "OUT/<name>/<name>_<x>_<y>.tif below OUT/<name>.vrt; default: one file", unit="m",
+                                      kind="length")  # fmt: skip
+    resolution: Fraction | None = setting(None, "pixel size; default 1 m, or the spacing of the ground where that "
+                                          "is coarser", unit="m", kind="length")  # fmt: skip
+    tile_size: Fraction | None = setting(None, "side of a filter tile; default from density and memory",
+                                         unit="m", kind="length")  # fmt: skip
+    halo: Fraction | None = setting(None, "width of a tile's surroundings that the filter sees; default from the "
+                                    "method",
+                                    unit="m", kind="length")  # fmt: skip
+    max_edge: Fraction = setting(
+        Fraction(100), "a pixel has no height where the triangle of ground points around it has a longer edge, or the "
+        "circle through its corners a larger radius", unit="m", kind="length",
+    )  # fmt: skip
+    interpolation: str = setting("linear", "heights between ground points: linear on the TIN, natural neighbours, or "
+                                 "idw (12 nearest, 1 / squared distance); all fill the same pixels", kind="choice",
+                                 choices=("linear", "natural", "idw"))  # fmt: skip
+    surface: str | None = setting(None, "ground points that make the DTM: all, or one in each cell of half a pixel, "
+                                  "that at the median or a percentile (p10) of the heights; default: all, or the "
+                                  "median where the cloud is taken for matched", kind="surface")  # fmt: skip
+    erode: Fraction | None = setting(None, "leave out ground points this near to a point of an object at least 1 m "
+                                     "higher: stumps of walls in matched clouds; default: 0, or 0.5 m where the cloud "
+                                     "is taken for matched", unit="m", kind="length")  # fmt: skip
+    voids: str = setting("leave", "pixels beyond `max-edge` inside the survey: leave (no height), fill (from "
+                         "their rim), or mark (fill, and write the mask)", kind="choice",
+                         choices=("leave", "fill", "mark"))  # fmt: skip
+    spike: Fraction = setting(Fraction(5), "the DSM leaves out a pixel's highest return if it rises this far above "
+                              "all returns around it (next pixels, at least 1 m)", unit="m", kind="length")  # fmt: skip
+    memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "
+                                 "if that is less", unit="bytes", kind="bytes")  # fmt: skip
+    workers: int | None = setting(None, "worker processes, one thread each; default: cores", kind="int")
+    in_process: bool = setting(
+        False,
+        "work in the command's own process, for debugging: whatever crashes it ends the run",
+        kind="flag",
+    )
+    task_seconds: int = setting(
+        600, "time for a task of up to a million points, in proportion for a larger one; a worker that takes longer "
+        "counts as hung and is replaced", unit="s", kind="int",
+    )  # fmt: skip
+    scheduler: str | None = setting(
+        None, "address of a running Dask scheduler (tcp://host:8786); default: workers on this machine"
+    )
+    store: str | None = setting(None, "where the tile store lies; default OUT/store.zarr")
+    crs: str | None = setting(
+        None,
+        "CRS of files that have none (EPSG:..., WKT), or `none`: unknown, metres "
+        "assumed; default: a file without CRS is an error",
+    )
+    units: str | None = setting(
+        None, "units of the coordinates, h or h,v (m, ft, usft); default: those of the CRS"
+    )
+    bounds: tuple[float, float, float, float] | None = setting(None, "only this part: X0 Y0 X1 Y1 in CRS units; "
+                                                               "what lies around it is read as far as it matters; "
+                                                               "default: everything",
+                                                               kind="bounds")  # fmt: skip
+    aoi: str | None = setting(None, "only the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; as --bounds; "
+                              "default: everything", kind="file")  # fmt: skip
+    keep_classes: tuple[int, ...] = setting((7, 9, 17, 18), "classes that take no part in filtering and are "
+                                            "never overwritten; `none`: the filter sees no class of the input, as a "
+                                            "fair test on labelled clouds needs", kind="classes")  # fmt: skip
+    skip_synthetic: bool = setting(False, "synthetic points take no part in filtering", kind="flag")
+    skip_overlap: bool = setting(False, "overlap points take no part in filtering", kind="flag")
+    sigma: Fraction | None = setting(None, "noise of heights, for methods that need it; default: estimated from planar "
+                                     "patches", unit="m", kind="length")  # fmt: skip
+    kind: str | None = setting(
+        None, "what made the cloud, a laser scanner (als) or matching of images from drones or aircraft (dim), for "
+        "methods that treat them differently; default: decided from the data", kind="choice", choices=("als", "dim"),
+    )  # fmt: skip
+    statistics: str | None = setting(
+        None,
+        "OUT folder of an earlier run of the same method, whose run-wide statistics are used; default: this run's own",
+    )
+    nodata: float = setting(NODATA, "value of pixels without a height in rasters of heights and slopes (-999999 for "
+                            "USGS)", unit="as the raster", kind="nodata")  # fmt: skip
+    compress: str = setting("deflate", "compression of rasters", kind="choice", choices=("deflate", "zstd"))
+    on_error: str = setting("skip", "a broken file or tile is left out (exit code 5), or stops the run", kind="choice",
+                            choices=("skip", "stop"))  # fmt: skip
+    salvage: bool = setting(
+        False, "read what is left of a truncated file instead of leaving it out", kind="flag"
+    )
+    verify: bool = setting(
+        False, "read all inputs and outputs again to see whether they changed", kind="flag"
+    )
+    overwrite: bool = setting(False, "start afresh instead of resuming with what OUT holds", kind="flag")
+    force: bool = setting(False, "outputs may replace files that no run of this OUT made", kind="flag")
+    clean_store: bool = setting(False, "remove the store when the run is done", kind="flag")
+
+    @property
+    def surface_percent(self) -> int | None:
+        """Percentile of the heights of a cell that makes the DTM; None for all points."""
+        if self.surface is None or self.surface == "all":
+            return None
+        return 50 if self.surface == "median" else int(self.surface[1:])
+
+    @property
+    def erosion(self) -> Fraction:
+        """`erode`, 0 where it is not said."""
+        return Fraction(0) if self.erode is None else self.erode
+
+    @property
+    def source_kind(self) -> str | None:
+        """`kind` as methods know it (`ptd.passes.RunFacts`)."""
+        return "lidar" if self.kind == "als" else self.kind
+
+    @property
+    def exported(self) -> tuple[str, ...]:
+        """The products that become files."""
+        marked = {"mask"} if self.voids == "mark" else set()
+        return tuple(name for name in PRODUCTS if name in marked or name in self.products)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able settings; `from_mapping` reads them back."""
+        return {f.name: plain_value(getattr(self, f.name)) for f in fields(self)}
+
+    @classmethod
+    def from_mapping(cls, data: Mapping[str, Any]) -> RunConfig:
+        """Settings from plain values (TOML, JSON, options); unknown names and bad values raise ConfigError.
+
+        Where ``preset`` names one, its settings stand for those that are not given.
+        """
+        known = {f.name: f for f in fields(cls)}
+        for name in data:
+            if name not in known:
+                raise ConfigError(f"unknown setting {name!r}; `tiler config --template` lists them")
+        given = _over_preset(data)
+        return cls(**{name: parse_value(known[name], value) for name, value in given.items()})
+
+    def updated(self, **changes: Any) -> RunConfig:
+        """A copy with these fields (already parsed) replaced."""
+        return dataclasses.replace(self, **changes)
+
+
+def _over_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The settings given over those of their preset, whose parameters are left out if they are another method's."""
+    if data.get("preset") is None:
+        return data
+    base = load_preset(data["preset"])
+    if data.get("method", base.get("method")) != base.get("method"):
+        base.pop("parameters", None)
+    found = base | dict(data)
+    found["parameters"] = merged_pairs(base.get("parameters", {}), data.get("parameters", {}))
+    return found
+
+
+def merged_pairs(base: Any, given: Any) -> dict[str, str]:
+    """``name=value`` settings of a method, the given ones over the others, with or without the unit of a name."""
+    over = dict(parse_pairs(given))
+    bare = {_without_unit(name) for name in over}
+    return {k: v for k, v in parse_pairs(base) if _without_unit(k) not in bare} | over
+
+
+def _without_unit(name: str) -> str:
+    for suffix in UNIT_SUFFIXES:
+        name = name.removesuffix(suffix)
+    return name
+
+
+MOST_BYTES = 1 << 20
+"""Of a file of settings: what is read of another file is bounded."""
+
+
+def load_config(path: Path) -> dict[str, Any]:
+    """The settings of a TOML file as plain values; a table ``[parameters]`` holds those of the method."""
+    import tomllib
+
+    try:
+        with open(path, "rb") as stream:
+            content = stream.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            raise ConfigError(f"{path}: more than {MOST_BYTES >> 20} MiB; name a TOML file of settings")
+        return tomllib.loads(content.decode("utf-8-sig"))  # editors of Windows begin files with a mark
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; name a readable TOML file") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: byte {error.start} is no UTF-8; save the file as UTF-8") from error
+    except (ValueError, RecursionError) as error:  # of numbers and nesting without end as well
+        raise ConfigError(f"{path}: not valid TOML: {error}") from error

@@ -1,0 +1,240 @@
+"""Records of a LAS or LAZ file, any range of them, decoded in one thread."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+import laspy
+import lazrs
+import numpy as np
+import numpy.typing as npt
+
+from tiler.errors import InputError
+from tiler.io.las.headers import AGAIN, LasHeader, refuse
+from tiler.io.las.laz import LazDamage, LazLayout, check_layers, is_panic
+from tiler.io.locations import BLOCK_BYTES, open_cloud, second_view
+
+Records = npt.NDArray[np.void]
+
+NEEDED = (
+    lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
+    | lazrs.SELECTIVE_DECOMPRESS_Z
+    | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
+    | lazrs.SELECTIVE_DECOMPRESS_FLAGS
+    | lazrs.SELECTIVE_DECOMPRESS_RGB
+)
+"""Layers of point formats 6 to 10 that a store keeps; the other fields of a record are then undefined."""
+
+EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
+COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
+
+BYTES_AT_ONCE = 1 << 27
+"""Decoded records held at once: each is as long as the header says, up to 64 KiB."""
+
+_STEP = 1 << 16
+
+
+def rows_at_once(record_length: int, most: int) -> int:
+    """Records to read at once: ``most``, or fewer where they are long."""
+    return max(min(most, BYTES_AT_ONCE // record_length), 1)
+
+
+def record_dtype(point_format: int, record_length: int) -> np.dtype[np.void]:
+    """The fields of a record as laspy names them; extra bytes are one field of bytes, ``extra``."""
+    fields = laspy.PointFormat(point_format).dtype()
+    extra = record_length - fields.itemsize
+    return np.dtype([*fields.descr, ("extra", np.uint8, (extra,))]) if extra else fields
+
+
+@contextmanager
+def decoding(path: Path) -> Iterator[None]:
+    """Turn whatever a decoder raises about damaged bytes into an InputError that names the file.
+
+    That includes the panic of a Rust extension; KeyboardInterrupt and SystemExit go through.
+    """
+    try:
+        yield
+    except (LazDamage, lazrs.LazrsError, OSError, ValueError, RuntimeError, OverflowError) as error:
+        refuse(path, f"its points cannot be decoded ({_line(error)})", AGAIN)
+    except BaseException as error:
+        if not is_panic(error):
+            raise
+        refuse(path, f"its points make the decoder fail ({_line(error)})", AGAIN)
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+class PointReader:
+    """Reads ranges of records of one file; a context manager.
+
+    Parameters
+    ----------
+    header : LasHeader
+    selection : int
+        Layers to decode (`NEEDED`, `EVERYTHING`, `COORDINATES`); only point formats 6 to 10 have layers.
+    block_bytes : int
+        Asked for at once, of a cloud at a URL.
+    """
+
+    def __init__(self, header: LasHeader, selection: int = NEEDED, block_bytes: int = BLOCK_BYTES) -> None:
+        self.header = header
+        self.dtype = record_dtype(header.point_format, header.record_length)
+        self._selection = selection
+        with decoding(header.path):
+            self._file: BinaryIO = open_cloud(header.path, block_bytes)  # closed by close()
+            # The decoder goes on where it left its file: checks of what comes next use another one.
+            self._probe: BinaryIO = second_view(self._file, header.path)
+        self._decoder: Any = None
+        self._next = 0
+
+    def __enter__(self) -> PointReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files."""
+        self._decoder = None
+        self._file.close()
+        self._probe.close()
+
+    def read(self, start: int, count: int) -> Records:
+        """Records ``start`` to ``start + count``, structured, shape (count,); raises InputError."""
+        with decoding(self.header.path):
+            if count <= 0:
+                return np.empty(0, dtype=self.dtype)
+            if self.header.laz is None:
+                raw = self._read_plain(start, count)
+            else:
+                raw = self._read_compressed(self.header.laz, start, count)
+            return np.frombuffer(raw, dtype=self.dtype)
+
+    def _read_plain(self, start: int, count: int) -> bytearray:
+        length = self.header.record_length
+        self._file.seek(self.header.points_offset + start * length)
+        raw = bytearray(count * length)
+        got = self._file.readinto(raw)  # type: ignore[attr-defined]
+        if got != len(raw):
+            raise LazDamage(f"{got} of {len(raw)} bytes from record {start} on")
+        return raw
+
+    def _read_compressed(self, layout: LazLayout, start: int, count: int) -> bytearray:
+        first = stop = 0
+        if layout.sizes.size:
+            ends = np.cumsum(layout.counts)
+            first, last = (int(i) for i in np.searchsorted(ends, (start, start + count - 1), side="right"))
+            stop = last + 1
+            if layout.layers:
+                check_layers(self._probe, layout, self.header.points_offset, first, stop)
+        if self._decoder is None or start != self._next:
+            self._decoder, self._next = self._open_decoder(layout, start, first)
+            self._skip(start - self._next)
+        raw = bytearray(count * self.header.record_length)
+        self._decoder.decompress_many(raw)
+        self._next = start + count
+        return raw
+
+    def _open_decoder(self, layout: LazLayout, start: int, chunk: int) -> tuple[Any, int]:
+        """A decoder, and the record that it would decode next: ``start``, or one before in its chunk.
+
+        lazrs seeks right only where all chunks have the same number of points and a table (with chunks
+        of their own sizes it lands, without a word, on other points): elsewhere it is given a view of
+        the file that begins with the wanted chunk.
+        """
+        selection = lazrs.DecompressionSelection(self._selection)
+        if layout.chunk_size is not None and not layout.rebuilt:
+            self._file.seek(self.header.points_offset)
+            decoder = lazrs.LasZipDecompressor(self._file, layout.record_data, selection)
+            decoder.seek(start)
+            return decoder, start
+        data = self.header.points_offset + 8
+        if layout.sizes.size:
+            skipped, before = int(layout.sizes[:chunk].sum()), int(layout.counts[:chunk].sum())
+            chunks = list(zip(layout.counts[chunk:].tolist(), layout.sizes[chunk:].tolist(), strict=True))
+        else:
+            skipped, before = 0, 0
+            chunks = [(layout.chunk_size or 1, self.header.size - data)]
+        view = _ChunkView(self._file, data + skipped, chunks, layout.record_data)
+        return lazrs.LasZipDecompressor(io.BufferedReader(view), layout.record_data, selection), before
+
+    def _skip(self, count: int) -> None:
+        most = rows_at_once(self.header.record_length, _STEP)
+        while count > 0:
+            step = min(most, count)
+            self._decoder.decompress_many(bytearray(step * self.header.record_length))
+            count -= step
+
+
+class _ChunkView(io.RawIOBase):
+    """Some chunks of a LAZ file as a stream of their own: the table's position, the chunks, the table.
+
+    Parameters
+    ----------
+    file : BinaryIO
+    start : int
+        Byte of the first chunk.
+    chunks : list of tuple of int
+        Points and bytes of each chunk.
+    record_data : bytes
+        Of the laszip record.
+    """
+
+    def __init__(self, file: BinaryIO, start: int, chunks: list[tuple[int, int]], record_data: bytes) -> None:
+        self._file = file
+        self._start = start - 8
+        table = io.BytesIO()
+        lazrs.write_chunk_table(table, chunks, lazrs.LazVlr(record_data))
+        self._table = table.getvalue()
+        self._table_at = 8 + sum(size for _, size in chunks)
+        self._pointer = self._table_at.to_bytes(8, "little")
+        self._position = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        end = self._table_at + len(self._table)
+        self._position = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: end}[whence]
+        return self._position
+
+    def readinto(self, target: Any) -> int:
+        position = self._position
+        if position < 8:
+            part = self._pointer[position : position + len(target)]
+        elif position < self._table_at:
+            self._file.seek(self._start + position)
+            part = self._file.read(min(len(target), self._table_at - position))
+        else:
+            part = self._table[position - self._table_at :][: len(target)]
+        target[: len(part)] = part
+        self._position += len(part)
+        return len(part)
+
+
+def count_decodable(header: LasHeader) -> int:
+    """Points of the whole chunks that can be decoded, for a file whose chunks cannot be walked."""
+    if header.laz is None or not header.laz.rebuilt or header.laz.sizes.size:
+        return header.point_count
+    step = rows_at_once(header.record_length, header.laz.chunk_size or _STEP)
+    found = 0
+    with PointReader(header, COORDINATES) as reader:
+        while found < header.point_count:
+            try:
+                reader.read(found, min(step, header.point_count - found))
+            except InputError:
+                break
+            found += min(step, header.point_count - found)
+    return found

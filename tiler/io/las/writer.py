@@ -1,0 +1,55 @@
+"""Points of a LAZ file, compressed by lazrs behind a header that somebody else writes."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, BinaryIO
+
+import lazrs
+import numpy as np
+
+from tiler.io.las.headers import LasHeader
+from tiler.io.las.reader import Records
+from tiler.io.las.records import LASZIP_RECORD, LASZIP_USER
+
+_VLR = struct.Struct("<H16sHH32s")
+
+
+def laszip_vlr(header: LasHeader) -> bytes:
+    """The whole laszip record for points like those of ``header``."""
+    data = bytes(_layout(header).record_data())
+    return _VLR.pack(0, LASZIP_USER.encode(), LASZIP_RECORD, len(data), b"lazrs") + data
+
+
+def _layout(header: LasHeader) -> Any:
+    bare = lazrs.LazVlr.new_for_compression(header.point_format, 0).item_size()
+    return lazrs.LazVlr.new_for_compression(header.point_format, header.record_length - bare)
+
+
+class PointWriter:
+    """Writes records, compressed, from the place where ``target`` stands; `close` adds the chunk table.
+
+    Parameters
+    ----------
+    target : BinaryIO
+        Seekable; its position after `close` is undefined.
+    header : LasHeader
+        Of a file with the same point format and record length.
+    """
+
+    def __init__(self, target: BinaryIO, header: LasHeader) -> None:
+        self._compressor = lazrs.LasZipCompressor(target, _layout(header))
+
+    def write(self, records: Records) -> None:
+        """Append records; raises OSError where the target does not take them."""
+        try:
+            self._compressor.compress_many(np.ascontiguousarray(records).view(np.uint8))
+        except lazrs.LazrsError as error:
+            raise OSError(str(error)) from error
+
+    def close(self) -> None:
+        """Write what is left and the chunk table; raises OSError."""
+        try:
+            self._compressor.done()
+        except lazrs.LazrsError as error:
+            raise OSError(str(error)) from error

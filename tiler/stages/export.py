@@ -1,0 +1,101 @@
+"""The stage export of a run: the files that people open, and what becomes of those of earlier runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tiler.core.lattice import Cell
+from tiler.errors import ProcessingError, refused_write
+from tiler.io.locations import is_url, joined, sizes_at
+from tiler.io.result_folder import below
+from tiler.plan import KEEP
+from tiler.runs.job import Job
+from tiler.schedule import Task, digest_of
+from tiler.stages.changed_outputs import take_back_spoilt
+from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks
+from tiler.stages.outdated import put_aside
+from tiler.stages.raster_tasks import Gridding
+from tiler.stages.tasks import Source, area_key, classified_tasks
+from tiler.store import Commits
+
+RASTERS = (".tif", ".vrt")
+"""Files of rasters among what is written; their tasks have the names of the files as keys."""
+
+
+def export(
+    job: Job, gridding: Gridding, sources: list[Source], spooled: Commits, labels: dict[Cell, str]
+) -> None:
+    """The files that people open."""
+    out, config = job.products, job.plan.config
+    digest = digest_of(sorted(source.content for source in sources))
+    tasks = list(cog_tasks(gridding, Inputs.of(sources, spooled), digest, out))
+    for folder in {task.arguments["out"] for task in tasks if not is_url(out)}:
+        try:
+            Path(folder).mkdir(exist_ok=True)
+        except OSError as error:
+            raise refused_write(folder, error, Path(out)) from error
+    if config.method != KEEP:
+        tasks += classified_tasks(job.plan, sources, spooled, labels, out)
+    mosaics = list(mosaic_tasks(gridding, digest, out))
+    basis = _basis(gridding)
+    written = {key: below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
+    put_aside(job, written.values(), basis)
+    rasters = _write(job, "export", tasks, out)
+    if mosaics or job.store.committed("mosaic"):
+        rasters &= _write(job, "mosaic", mosaics, out)
+    if gridding.plan.area is not None:
+        made = job.store.committed("export")
+        terrain = [task.key for task in tasks if task.arguments.get("product") == "dtm"]
+        job.facts["dtm"]["filled"] = sum(made[key][1]["valid"] for key in terrain if key in made)
+    job.facts["made_of"] |= {path: basis for key, path in written.items() if key.endswith(RASTERS)}
+    unwritten = [path for path in written.values() if path not in job.facts["outputs"]]
+    sizes = sizes_at([joined(out, path) for path in unwritten])  # of an earlier run, where a task failed
+    job.facts["earlier_outputs"] = {
+        p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
+    }
+    _refuse_removed(job)
+    if not rasters:
+        raise ProcessingError(f"{job.failed[-1]['key']} could not be written: {job.failed[-1]['error']}")
+
+
+def _refuse_removed(job: Job) -> None:
+    """Raise ProcessingError where files that were written are gone already: a run that is done has them."""
+    outputs = list(job.facts["outputs"])
+    sizes = sizes_at([joined(job.products, path) for path in outputs])
+    gone = [path for path, size in zip(outputs, sizes, strict=True) if size is None]
+    if gone:
+        more = f" and {len(gone) - 1:,} more files" if len(gone) > 1 else ""
+        raise ProcessingError(
+            f"{joined(job.products, gone[0])}{more}: removed while the run went on; run again, and what is gone is "
+            "made anew"
+        )
+
+
+def _basis(gridding: Gridding) -> str:
+    """What the products are made of: points, labels, and settings that more than their files' form depends on."""
+    config = gridding.plan.config
+    terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
+    return digest_of(terrain, config.voids, str(config.spike), str(config.sheets), area_key(gridding.plan))
+
+
+def _files(tasks: list[Task]) -> dict[str, str]:
+    """What each task writes, by path or URL."""
+    return {
+        t.key: joined(t.arguments["out"], t.key) if t.key.endswith(RASTERS) else t.arguments["out"]
+        for t in tasks
+    }
+
+
+def _write(job: Job, stage: str, tasks: list[Task], out: str) -> bool:
+    """Write files that are not there, or not as they were written; whether all rasters among them are."""
+    files = _files(tasks)
+    take_back_spoilt(job, stage, files)
+    written = job.perform(stage, tasks, writes_out=True)
+    job.facts["outputs"] |= {below(out, files[k]): record["bytes"] for k, (_, record) in written.items()}
+    job.facts["digests"] |= {
+        below(out, files[k]): record["digest"] for k, (_, record) in written.items() if "digest" in record
+    }
+    for _, record in written.values():
+        for text in record.get("notes", ()):
+            job.note(text)
+    return all(key in written for key in files if key.endswith(RASTERS))

@@ -1,0 +1,145 @@
+"""The tasks that write the files of the products: one COG each, or sheets and a VRT over them."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.products import NODATA, PRODUCTS
+from tiler.core.raster import RasterSpec
+from tiler.export import write_cog, write_mosaic
+from tiler.io.locations import joined
+from tiler.plan import GRID_BLOCK, Plan
+from tiler.schedule import Task, digest_of
+from tiler.stages.raster_tasks import Gridding, checksums, final
+from tiler.stages.tasks import Source, area_key, by_source
+from tiler.store import Commits
+from tiler.version import __version__
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What was read: bucket -> digests of the sources that have points in it."""
+
+    of_bucket: Mapping[Cell, Collection[str]]
+
+    @classmethod
+    def of(cls, sources: Iterable[Source], spooled: Commits) -> Inputs:
+        """From the commits of the pieces."""
+        found: dict[Cell, set[str]] = defaultdict(set)
+        records = by_source(spooled)
+        for source in sources:
+            for record in records.get(source.name, ()):
+                for ix, iy, _ in record["buckets"]:
+                    found[Cell(ix, iy)].add(source.content)
+        return cls(found)
+
+    def digest(self, cells: Iterable[Cell]) -> str:
+        """Of those with points in some buckets."""
+        return digest_of(sorted(set().union(*(self.of_bucket.get(cell, ()) for cell in cells))))
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One of the files into which the products are cut: the coordinates in its name, its pixels, its buckets."""
+
+    place: str
+    spec: RasterSpec
+    cells: list[Cell]
+
+
+def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
+    """One for each file.
+
+    The tag of a sheet names the inputs that have points in it, and its digest the blocks that it is made of: another
+    input makes new sheets where it lies.
+    """
+    cut = [] if g.plan.config.sheets is None else [(s, inputs.digest(s.cells)) for s in sheets(g)]
+    for name in g.plan.config.exported:
+        raster = final(name, g.plan.config)
+        common: dict[str, Any] = {
+            "raster": raster, "product": name, "compress": g.plan.config.compress, "area": area_key(g.plan),
+            "fill": g.fill_of(raster), **_nodata(g.plan, name),
+        }  # fmt: skip
+        if g.plan.config.sheets is None:
+            tags = _tags(g.plan, whole_inputs)
+            arguments = {**common, "name": name, "spec": g.spec.to_json(), "out": out, "tags": tags}
+            yield _cog_task(arguments, g.spec, checksums(g.made[raster]))
+            continue
+        whole = {"whole": g.spec.to_json(), "out": joined(out, name)}
+        for sheet, read in cut:
+            spec = sheet.spec
+            own = {"name": f"{name}_{sheet.place}", "spec": spec.to_json(), "tags": _tags(g.plan, read)}
+            near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), GRID_BLOCK)
+            seen = [[b.name, g.made[raster][b.name][1]["checksum"]] for b in near if b.name in g.made[raster]]
+            yield _cog_task({**common, **whole, **own}, spec, seen)
+
+
+def _cog_task(arguments: dict[str, Any], spec: RasterSpec, blocks: list[list[str]]) -> Task:
+    digest = digest_of(arguments, blocks)
+    return Task("export", f"{arguments['name']}.tif", digest, write_cog, arguments, spec.height * spec.width)
+
+
+def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
+    """One VRT for each product that is cut into sheets."""
+    if g.plan.config.sheets is None:
+        return
+    cut = [(sheet.place, sheet.spec.to_json()) for sheet in sheets(g)]
+    for name in g.plan.config.exported:
+        arguments = {
+            "product": name, "out": out, "tags": _tags(g.plan, whole_inputs), **_nodata(g.plan, name),
+            "sheets": [[f"{name}/{name}_{place}.tif", spec] for place, spec in cut],
+        }  # fmt: skip
+        yield Task("mosaic", f"{name}.vrt", digest_of(arguments), write_mosaic, arguments)
+
+
+def sheets(g: Gridding) -> list[Sheet]:
+    """Sheets that hold points, on a lattice anchored at CRS 0; their names have the south-west corner."""
+    assert g.plan.config.sheets is not None  # the callers' choice
+    lattice, spec = Lattice(g.plan.meta.frame.counts(g.plan.config.sheets)), g.spec
+    side = int(lattice.size / spec.lattice.size)
+    buckets: dict[Cell, list[Cell]] = defaultdict(list)
+    for bucket, record in g.assembled.records.items():
+        if record["bounds"]:
+            for cell in lattice.cells(Bounds.from_json(record["bounds"])):
+                buckets[cell].append(bucket)
+    cells = sorted(buckets)
+    if g.plan.area is not None:
+        cells = [cell for cell in cells if g.plan.area.touches(lattice.bounds(cell))]
+    return [
+        Sheet(
+            "_".join(_place(i * lattice.size) for i in (cell.ix, cell.iy)),
+            RasterSpec(spec.lattice, cell.ix * side, (cell.iy + 1) * side, side, side),
+            buckets[cell],
+        )
+        for cell in cells
+    ]
+
+
+def _place(counts: Fraction) -> str:
+    """A coordinate in units of the CRS for a file's name: ``2600000``, ``0.5``."""
+    return f"{float(counts / COUNTS_PER_UNIT):.3f}".rstrip("0").rstrip(".")
+
+
+def _nodata(plan: Plan, name: str) -> dict[str, float]:
+    """What the files of a product say where it has no value, if that is the user's to say: not of codes and greys."""
+    return {"nodata": plan.config.nodata} if PRODUCTS[name].nodata == NODATA else {}
+
+
+def _tags(plan: Plan, inputs: str) -> dict[str, str]:
+    config = plan.config
+    settings: dict[str, Any] = {
+        "interpolation": config.interpolation, "surface": config.surface or "all", "erode_m": float(config.erosion),
+        "max_edge_m": float(config.max_edge), "voids": config.voids, "spike_m": float(config.spike),
+    }  # fmt: skip
+    return {
+        "TILER_VERSION": __version__, "TILER_METHOD": config.method,
+        "TILER_PARAMETERS": json.dumps(plan.parameters, sort_keys=True),
+        "TILER_GRID": json.dumps(settings, sort_keys=True), "TILER_INPUTS": inputs,
+    }  # fmt: skip

@@ -1,0 +1,133 @@
+"""The stage filter of a run: the passes of the method, one after the other, and what they say together."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ptd.methods import METHODS
+from ptd.passes import MethodRefusal, Pass, RunFacts, State, later_passes
+from ptd.precompile import warm_filters
+from tiler.core.lattice import Cell
+from tiler.errors import ConfigError, ProcessingError
+from tiler.plan import KEEP
+from tiler.runs.job import Job
+from tiler.schedule import Task
+from tiler.stages.tasks import Assembled, Before, filter_tasks
+
+
+def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
+    """Run the passes of the method; digests of the final labels by bucket."""
+    if job.plan.config.method == KEEP:
+        return assembled.digests
+    passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
+    ever = max(job.store.get_state("passes") or 0, len(passes))
+    job.store.put_state("passes", ever)
+    for number in range(len(passes), ever):
+        job.store.clear(f"filter{number}")  # its labels are about to be overwritten
+    config, known = job.plan.config, job.plan.statistics
+    sigma = None if config.sigma is None else float(config.sigma)
+    facts = RunFacts(job.plan.meta.has_rgb, sigma, config.source_kind)
+    state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
+    before = Before(assembled.digests)
+    warm = functools.partial(warm_filters, config.method)
+    job.facts["statistics"] = {}
+    writes, last = False, ""
+    for number, step in enumerate(passes):
+        if not step.applies(state):
+            continue
+        if last:
+            raise ValueError(
+                f"method {config.method}: {step.name} applies after {last}, which was to be the last"
+            )
+        if (step.elects or step.gives_labels) and not writes:
+            writes = True
+            _clear_passed_over(job, passes, state)
+        tasks = list(filter_tasks(job.plan, assembled, number, state, before))
+        filtered = job.perform(f"filter{number}", tasks, warm)
+        if not filtered:
+            raise ProcessingError(f"no tile could be filtered; the first: {job.failed[0]['error']}")
+        if step.elects or step.gives_labels:
+            is_last = step.gives_labels and not later_passes(passes, number, state)
+            for task in tasks:
+                if task.key not in filtered:
+                    _leave_out(job, task, before)
+            before = before.after(number, step, is_last, assembled, filtered)
+            last = step.name if is_last else ""
+        if step.gives_labels:
+            job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
+        partials = (record["partial"] for _, record in filtered.values())
+        state = _reduced(job, step, partials, state) if known is None else _known(job, step)
+        job.store.put_state(f"after-{step.name}", state)
+        job.facts["statistics"][step.name] = state
+    return dict(before.digests)
+
+
+def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
+    """Take back what an earlier run did of passes that do not apply now: what they wrote may be overwritten."""
+    for number, step in enumerate(passes):
+        if not step.applies(state):
+            job.store.clear(f"filter{number}")
+
+
+def _known(job: Job, step: Pass) -> dict[str, Any]:
+    """The state after a pass of the run that ``--statistics`` names."""
+    found: dict[str, Any] | None = (job.plan.statistics or {}).get(step.name)
+    if found is None:
+        raise ConfigError(
+            f"--statistics {job.plan.config.statistics}: that run did not do the pass {step.name}; use the same --kind"
+        )
+    kind = job.plan.config.source_kind
+    if kind is not None and found.get("run", {}).get("kind") != kind:
+        job.note(
+            f"--statistics: what made the cloud is as that run took it; --kind {job.plan.config.kind} is not used"
+        )
+    return found
+
+
+def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    """The state after a pass; what it decided is told."""
+    try:
+        found = step.reduce(partials, state)
+    except MethodRefusal as error:
+        raise ConfigError(f"--method {job.plan.config.method}: {error}") from error
+    for text in found.get("notes", [])[len(state.get("notes", [])) :]:
+        job.note(text)
+    return found
+
+
+def _leave_out(job: Job, task: Task, before: Before) -> None:
+    """The points of a tile that failed have no label, and elect none: nothing of an earlier run, either."""
+    cells = [Cell(*indices) for indices in task.arguments["cells"]]
+    buckets = job.store.buckets_within(job.plan.meta.bucket.hull(cells))
+    for cell in cells:
+        if task.arguments["elected_out"] is not None:
+            job.store.write_elected(task.arguments["elected_out"], cell, np.zeros((3, 0), np.int32))
+        elif task.arguments["of_elected"]:
+            labels = np.zeros(before.n_elected[cell], np.uint8)
+            job.store.write_elected_labels(task.arguments["labels_out"], cell, labels)
+        else:
+            job.store.write_labels(task.arguments["labels_out"], cell, np.zeros(buckets[cell].n, np.uint8))
+
+
+def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:
+    def total(name: str) -> int:
+        return sum(r[name] for r in records)
+
+    names = ("points", "ground", "low_noise", "unclassified", "kept", "marked")
+    again = sum(r["tries"] > 1 for r in records)
+    facts: dict[str, Any] = {name: total(name) for name in names}
+    facts |= {
+        "tiles": tiles,
+        "tiles_done_again": again,
+        "overlap_work": total("window_area") / max(total("core_area"), 1),
+    }
+    if facts["marked"]:
+        job.note(
+            f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them"
+        )
+    return facts

@@ -1,0 +1,172 @@
+"""The stage grid of a run: the terrain's raster and those of the other products, block by block."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any, Literal
+
+import numpy as np
+
+from ptd.precompile import warm_gridding
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.products import MASK_VALUES, OUTSIDE
+from tiler.core.raster import RasterSpec
+from tiler.errors import ProcessingError
+from tiler.grid import DEEP_M, blank_blocks
+from tiler.plan import GRID_BLOCK, KEEP
+from tiler.plan.advice import roofs_in_terrain
+from tiler.runs.job import Job
+from tiler.runs.worker import compute
+from tiler.schedule import Task, digest_of
+from tiler.stages.raster_tasks import WHOLE, Gridding, raster_tasks, wanted
+from tiler.stages.tasks import Assembled
+from tiler.store import Commits
+
+MATCHED, MATCHED_SURFACE, MATCHED_EROSION = "dim", "median", Fraction(1, 2)
+"""Kind of matched clouds, and how their surface is made unless the user says it: noise is averaged, and the skirts of
+walls, which no filter tells from ground, are left out."""
+BLANK_BLOCKS = 256
+"""Blocks of an earlier run that one task removes."""
+
+
+def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
+    """All rasters that the products need, block by block."""
+    _settle_surface(job)
+    gridding = Gridding(job.plan, assembled, labels, _holes(job))
+    for name in wanted(job.plan.config):
+        tasks = list(raster_tasks(name, gridding))
+        gridding.made[name] = _raster(job, gridding, name, tasks)
+        if name == "dtm":
+            _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
+            _advise(job, gridding.spec, gridding.made[name])
+    if "dsm" in gridding.made:
+        _tell_of_surface(job, gridding.made["dsm"])
+    if "mask" in gridding.made:
+        _tell_of_mask(job, gridding.spec, gridding.made["mask"])
+    return gridding
+
+
+def _settle_surface(job: Job) -> None:
+    """Decide what makes the surface where the user does not: matched clouds are noisy, their walls have skirts."""
+    plan, config = job.plan, job.plan.config
+    survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
+    if config.method == KEEP or survey.get("kind", config.source_kind) != MATCHED:
+        return
+    surface, erode = config.surface or MATCHED_SURFACE, config.erode
+    if erode is None:
+        eroded = replace(plan, config=config.updated(surface=surface, erode=MATCHED_EROSION))
+        fits = eroded.projected_memory()["grid"] <= max(plan.memory, plan.projected_memory()["grid"])
+        erode = MATCHED_EROSION if fits else Fraction(0)
+        if not fits:
+            job.note(
+                "ground beside objects stays: leaving it out needs more --memory here (--erode 0.5 asks for it)"
+            )
+    if (surface, erode) != (config.surface, config.erode):
+        job.note(
+            f"decided: the surface is the {surface} of the heights in half a pixel, without ground within "
+            f"{float(erode):g} m of objects, as the cloud is matched (--surface, --erode)"
+        )
+    job.plan = replace(plan, config=config.updated(surface=surface, erode=erode))
+
+
+def _holes(job: Job) -> list[Bounds]:
+    """Where tiles or buckets failed, absolute counts."""
+    found = [f["bounds"] for f in job.failed if f["stage"].startswith(("assemble", "filter")) and f["bounds"]]
+    return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in found]
+
+
+def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commits:
+    """Make one raster of the store."""
+    stage, spec, fill = f"grid-{name}", gridding.spec_of(name), gridding.fill_of(name)
+    done, stale = job.sorted_out(stage, tasks)
+    job.take_back(stage, stale)
+    job.store.create_raster(name, spec.height, spec.width, fill)
+    if WHOLE not in done:
+        stored = {spec.block_at(*place, GRID_BLOCK).name for place in job.store.stored_blocks(name)}
+        lost = {key for key, (_, record) in done.items() if record.get("filled")} - stored
+        if lost:
+            job.note(f"{len(lost)} blocks of {name} are gone from the store; they are made again")
+        job.take_back(stage, lost)
+        _blank(job, name, spec, stored - done.keys())
+    job.store.put_state(f"raster-{name}", spec.to_json())
+    how: Literal["linear", "natural"] = "natural" if job.plan.config.interpolation == "natural" else "linear"
+    made = job.perform(stage, tasks, functools.partial(warm_gridding, how))
+    if tasks and not made:
+        raise ProcessingError(f"no block of {name} could be made; the first: {job.failed[0]['error']}")
+    return made
+
+
+def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None:
+    """Have the workers remove blocks that an earlier run wrote: this one may not write them again."""
+    blocks, tasks = [spec.block_named(key, GRID_BLOCK) for key in sorted(keys)], []
+    for start in range(0, len(blocks), BLANK_BLOCKS):
+        some = [[b.row, b.col, b.height, b.width] for b in blocks[start : start + BLANK_BLOCKS]]
+        digest = digest_of(name, some)
+        tasks.append(Task("blank", digest, digest, blank_blocks, {"name": name, "blocks": some}))
+    for outcome in job.crew.executor().run(compute, job.store.url, tasks) if tasks else ():
+        if outcome.record is None and not outcome.again:
+            raise ProcessingError(f"{name}: blocks of an earlier run cannot be removed: {outcome.error}")
+
+
+def _advise(job: Job, spec: RasterSpec, made: Commits) -> None:
+    """Look for roofs in the terrain, where a parameter of the method could have kept them out of it."""
+    building = job.plan.parameters.get("max_building_size_m")
+    if building is None:
+        return
+    found = job.store.get_state("advice")
+    if job.stages["grid-dtm"]["computed"] or not found or found["building_m"] != building:
+        filled = (spec.block_named(key, GRID_BLOCK) for key, (_, record) in made.items() if record["filled"])
+        text = roofs_in_terrain(job.store, "dtm", spec, filled, building)
+        found = {"building_m": building, "texts": [] if text is None else [text]}
+        job.store.put_state("advice", found)
+    job.facts["advice"] = found["texts"]
+    for line in found["texts"]:
+        job.listener("warning", {"text": line})
+
+
+def _tell_of_surface(job: Job, made: Mapping[str, Any]) -> None:
+    records = [record for _, record in made.values()]
+    totals = {key: sum(record[key] for record in records) for key in ("filled", "measured", "deep")}
+    job.facts["dsm"] = totals
+    if totals["deep"]:
+        job.note(
+            f"in {totals['deep']:,} pixels all returns lie more than {DEEP_M:g} m below the terrain (low noise, or "
+            "steep ground that was taken for it): the surface model has the terrain's height there"
+        )
+
+
+def _tell_of_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
+    totals = np.sum([record["values"] for _, record in made.values()], axis=0).tolist()
+    totals[OUTSIDE] += spec.height * spec.width - sum(record["pixels"] for _, record in made.values())
+    job.facts["mask"] = {text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()}
+
+
+def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
+    if job.plan.thin_ground and job.plan.config.surface_percent is None:
+        job.note(
+            "one ground point a quarter pixel makes the surface: in the densest place all would be too many"
+        )
+    records = [record for _, record in made.values()]
+    job.facts["dtm"] = {
+        "width": spec.width, "height": spec.height, "resolution_m": float(job.plan.resolution),
+        **{k: sum(r[k] for r in records) for k in ("filled", "marked")},
+        "blocks": len(tasks), "blocks_done_again": sum(r["tries"] > 1 for r in records),
+        "thinned": any(task.arguments["thin_cell"] for task in tasks),
+    }  # fmt: skip
+    if records and job.facts["dtm"]["filled"] == 0:
+        config = job.plan.config
+        what = (
+            f"points of class {', '.join(map(str, config.ground_classes))}"
+            if config.method == KEEP
+            else "ground points"
+        )
+        text = (
+            f"the terrain model has no height at all: no three {what} lie within --max-edge "
+            f"{float(config.max_edge):g} m of one another"
+        )
+        job.notes.append(text)
+        job.listener("warning", {"text": text})

@@ -1,0 +1,191 @@
+"""The stage ingest of a run: sources are decoded into pieces, and their points put into buckets."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell
+from tiler.errors import InputError, ProcessingError
+from tiler.ingest import FAR, OUTSIDE_AREA, Strays
+from tiler.io.locations import is_url
+from tiler.plan import Plan, bounds_of, too_much_between
+from tiler.runs.job import Job
+from tiler.schedule import Task
+from tiler.stages.tasks import (
+    Assembled,
+    Source,
+    assemble_tasks,
+    by_source,
+    fragments_of,
+    source_of,
+    spool_tasks,
+    strays_of,
+)
+from tiler.store import BucketInfo, Commits
+
+
+def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
+    """Decode; a source with a piece that failed, or whose points cannot be where they are, is left out whole."""
+    spooled = job.perform("spool", spool_tasks(job.plan, sources))
+    bad = {source_of(f["key"]): f["error"] for f in job.failed if f["stage"] == "spool"}
+    job.failed = [f for f in job.failed if f["stage"] != "spool"]
+    bad |= _misplaced(job, [s for s in sources if s.name not in bad], spooled)
+    good = [s for s in sources if s.name not in bad]
+    left_out = [(str(s.info.path), bad[s.name]) for s in sources if s.name in bad]
+    job.quarantined += [{"path": path, "error": error} for path, error in left_out]
+    # What an error says may not name the file: a worker died.
+    lines = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in left_out]
+    if not good:
+        raise InputError(f"no input could be read; the first: {lines[0]}")
+    for text in lines:
+        job.listener("warning", {"text": text})
+    spooled = {k: c for k, c in spooled.items() if source_of(k) not in bad}
+    records = [record for _, record in spooled.values()]
+    dropped: Counter[str] = Counter()
+    for record in records:
+        dropped.update(record["dropped"])
+    read, stored = sum(r["read"] for r in records), sum(r["stored"] for r in records)
+    rounding = max(r["largest_rounding"] for r in records)
+    job.facts["counts"] = {
+        "read": read,
+        "stored": stored,
+        "dropped": dict(dropped),
+        "largest_rounding": rounding,
+    }
+    stored_of = {name: sum(r["stored"] for r in found) for name, found in by_source(spooled).items()}
+    job.facts["inputs"] = [
+        {**s.info.to_json(), "content": s.content, "stored": stored_of.get(s.name, 0)} for s in sources
+    ]
+    if rounding > 0:
+        job.note(f"coordinates were rounded to counts for filtering, by {rounding:.3g} CRS units at most")
+    for reason, count in dropped.items():
+        job.note(f"{count:,} points dropped: {reason}")
+    if stored == 0:
+        raise InputError(
+            f"all {read:,} points were dropped ({', '.join(dropped)}): nothing to make a terrain of"
+        )
+    return spooled, good
+
+
+def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, str]:
+    """Name -> reason of sources whose points lie where neither header nor sample said, and where no raster reaches."""
+    records = by_source(spooled)
+    held = {
+        s.name: sum(r["stored"] + r["dropped"].get(OUTSIDE_AREA, 0) for r in records[s.name]) for s in sources
+    }
+    if not any(held.values()):
+        return {}
+    found = {
+        s.name: f"all its {s.info.points:,} points have coordinates that no run can hold; see to its scales and offsets"
+        for s in sources
+        if not held[s.name]
+    }
+    if job.plan.config.sheets is None:
+        found |= _far_away(job.plan, None if is_url(job.products) else Path(job.products), sources, spooled)
+    if found and (job.plan.config.on_error == "stop" or len(found) == len(sources)):
+        source = next(s for s in sources if s.name in found)
+        raise InputError(f"{source.info.path}: {found[source.name]}")
+    return found
+
+
+def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Commits) -> dict[str, str]:
+    """Name -> reason of sources that make the raster too wide, against the bounds that the plan was made with."""
+    records, lattice = by_source(spooled), plan.meta.bucket
+    told = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
+    doubtful = [
+        s
+        for s in sources
+        if any(
+            r["bounds"] and told[s.name].union(Bounds.from_json(r["bounds"])) != told[s.name]
+            for r in records[s.name]
+        )
+    ]
+    strays = strays_of(plan, doubtful, spooled)
+    extents: dict[str, Bounds] = {}
+    for source in doubtful:
+        mine = strays.get(source.number, Strays())
+        cells = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]} - mine.alone
+        hull = lattice.hull(cells) if cells else told[source.name]
+        hull = hull if mine.extent is None else hull.intersection(mine.extent)
+        if told[source.name].union(hull) != told[source.name]:
+            extents[source.name] = hull
+    extent = reduce(Bounds.union, extents.values(), plan.extent)
+    if plan.area is not None:
+        extent = extent.intersection(plan.area.bounds)
+    remedy = too_much_between(dataclasses.replace(plan, extent=extent), out) if extents else None
+    if remedy is None:
+        return {}
+    return dict.fromkeys(extents, f"holds points far outside of the bounds that its header gives: {remedy}")
+
+
+def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
+    """Points into buckets; tell of duplicates and of what takes no part."""
+    fragments = fragments_of(spooled)
+    tasks = list(assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled)))
+    done, stale = job.sorted_out("assemble", tasks)
+    _forget_labels(job, stale)
+    job.take_back("assemble", stale)
+    job.store.allocate(
+        {cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()}
+    )
+    _bring_back(job, sources, [task for task in tasks if task.key not in done])
+    commits = job.perform("assemble", tasks)
+    assembled = Assembled.of(commits)
+    if not commits:
+        raise ProcessingError(f"no bucket could be written; the first: {job.failed[0]['error']}")
+    area = job.plan.area
+    if area is not None and area.bounds.intersection(assembled.bounds).empty:
+        raise InputError("no point of the clouds lies in the area, though some lie near it; name another")
+    job.store.publish_index({c: BucketInfo(r["n"], r["n_candidates"]) for c, r in assembled.records.items()})
+    within = sum(r["duplicates"]["within"] for r in assembled.records.values())
+    between = sum(r["duplicates"]["between"] for r in assembled.records.values())
+    taking = sum(r["n_participating"] for r in assembled.records.values())
+    job.facts["counts"] |= {
+        "duplicates_within_files": within, "duplicates_between_files": between, "participating": taking,
+        "kept_out": job.facts["counts"]["stored"] - taking, "buckets": len(assembled.records),
+    }  # fmt: skip
+    _tell_of_strays(job, sources, assembled)
+    if within or between:
+        job.note(f"duplicates take part once: {between:,} points of other files, {within:,} within files")
+    return assembled
+
+
+def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
+    """Decode again the pieces that buckets need and that `tiler clean` removed."""
+    needed = {piece for task in todo for bucket in task.arguments["buckets"] for piece, *_ in bucket[2]}
+    gone = needed - job.store.pieces() if needed else set()
+    if gone:
+        job.note(f"{len(gone)} pieces were removed from the store since they were decoded; they are again")
+        job.take_back("spool", gone)
+        job.perform("spool", spool_tasks(job.plan, sources))
+
+
+def _tell_of_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:
+    """List the points that belong to nothing."""
+    paths = {source.number: str(source.info.path) for source in sources}
+    found: list[dict[str, Any]] = []
+    for record in assembled.records.values():
+        for number, row, x, y, z in record["strays"]:
+            found.append({"path": paths[number], "point": row, "x": x, "y": y, "z": z})
+    job.facts["counts"]["strays"] = len(found)
+    job.facts["strays"] = found
+    if found:
+        job.note(
+            f"{len(found)} points far from all others of their file, or outside of its bounds, are not filtered"
+        )
+
+
+def _forget_labels(job: Job, stale: Commits) -> None:
+    """Take back the tiles whose buckets are written anew: a bucket that moves to other rows loses its labels."""
+    cells = {tuple(bucket["cell"]) for _, record in stale.values() for bucket in record["buckets"]}
+    for number in range(job.store.get_state("passes") or 0):
+        stage = f"filter{number}"
+        tiles = job.store.committed(stage) if cells else {}
+        job.take_back(
+            stage, [k for k, (_, r) in tiles.items() if not cells.isdisjoint(map(tuple, r["cells"]))]
+        )
