@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +11,7 @@ import numpy.typing as npt
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.ground.morphology import Bool
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 from ptd.matched import objects, surface, voting
 from ptd.matched.cells import CELL_M, EMPTY, Raster, cell_heights, raster_of
 from ptd.matched.hull import hull_below
@@ -148,7 +147,7 @@ class SurfacePass(MatchedPass):
         cells, codes = Cells.of(CELL_M, scale), points.known_labels()
         left = codes != OBJECT
         if not left.any():
-            return GroundModel(None, None, cells, scale, state["survey"])
+            return GroundModel(None, {"cells": 0})
         raster = raster_of(points.xyz[:, left], cells)
         flat = np.zeros(raster.heights.size, np.bool_)
         flat[raster.keys] = codes[left] == TERRAIN
@@ -156,71 +155,109 @@ class SurfacePass(MatchedPass):
         found = surface.ground_surface(
             raster.heights, terrain, noise_m(state), scale, raster.row, raster.column
         )
-        return GroundModel(raster, found, cells, scale, state["survey"])
+        place = Place(cells.origin_x, cells.origin_y, cells.p / cells.q, raster.column, raster.row)
+        ground = Ground(found, place, scale, noise_m(state), float(state["survey"]["density_m2"]))
+        return GroundModel(ground, {"cells": int(raster.keys.size)})
+
+
+class Place(NamedTuple):
+    """Where a raster lies: origin of the local counts, counts on a cell's side, and its first column and row."""
+
+    origin_x: int
+    origin_y: int
+    side: float
+    column: int
+    row: int
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The surface of a window, and what points are compared with it by.
+
+    Attributes
+    ----------
+    surface : Surface
+    place : Place
+    scale : Scale
+    sigma_m, density_m2 : float
+        Of the run.
+    """
+
+    surface: surface.Surface
+    place: Place
+    scale: Scale
+    sigma_m: float
+    density_m2: float
+
+    def classes(self, x: Int32, y: Int32, z: Int32) -> UInt8:
+        """ASPRS classes: ground where a point and its neighbours lie about the surface."""
+        metre = self.scale.counts_z(1.0)
+        unit = voting.PARTS * metre
+        height, sigma, narrowing = self.surface
+        above, residual = _heights_above(x, y, z, height, self.place, metre, unit)
+        asked = np.abs(above) < CLEAR_M  # False where there is no surface
+        voted = voting.votes(x, y, residual, asked, self.density_m2, self.sigma_m, self.scale)
+        return _classes(x, y, above, voted, sigma, narrowing, self.place, unit)
 
 
 class GroundModel(Model):
-    """Points are ground where they and their neighbours lie about the surface."""
+    """Points against the surface, if there is one."""
 
-    def __init__(
-        self,
-        raster: Raster | None,
-        found: surface.Surface | None,
-        cells: Cells,
-        scale: Scale,
-        survey: Mapping[str, Any],
-    ) -> None:
-        self._raster, self._found, self._cells, self._scale, self._survey = (
-            raster,
-            found,
-            cells,
-            scale,
-            survey,
-        )
-        self.stats = {"cells": 0 if raster is None else int(raster.keys.size)}
+    def __init__(self, ground: Ground | None, stats: dict[str, Any]) -> None:
+        self._ground, self.stats = ground, stats
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """ASPRS classes; nothing is ever in doubt, as the pass has a reach."""
         certain = np.zeros(len(points), np.bool_)
-        labels = np.full(len(points), UNCLASSIFIED, np.uint8)
-        if self._raster is None or self._found is None or len(points) == 0:
-            return labels, certain
-        x, y, z = points.columns()
-        place = self._places(x, y)
-        above = z / self._scale.counts_z(1.0) - _between(self._found.height, *place)
-        asked = np.abs(above) < CLEAR_M  # False where there is no surface
-        unit = voting.PARTS * self._scale.counts_z(1.0)
-        residual = np.where(asked, np.rint(np.nan_to_num(above) * unit), 0.0).astype(np.int64)
-        sigma_m, density_m2 = float(self._survey["cell_sigma_m"]), float(self._survey["density_m2"])
-        voted = voting.votes(x, y, residual, asked, density_m2, sigma_m, self._scale) / unit
-        sigma, narrowing = _between(self._found.sigma, *place), _between(self._found.narrowing, *place)
-        labels[asked & (np.abs(voted) < (GROUND_M + GROUND_SIGMAS * sigma) * narrowing)] = GROUND
-        low = np.where(asked, voted, above) < -(LOW_M + LOW_SIGMAS * sigma)
-        labels[low] = LOW_NOISE
-        return labels, certain
-
-    def _places(self, x: Int32, y: Int32) -> tuple[Float64, Float64]:
-        """Rows and columns of the raster, in parts of a cell, from the centre of its first cell on."""
-        assert self._raster is not None  # the caller looked
-        side = self._cells.p / self._cells.q
-        column = (x.astype(np.int64) + self._cells.origin_x) / side - self._raster.column - 0.5
-        row = (y.astype(np.int64) + self._cells.origin_y) / side - self._raster.row - 0.5
-        return row, column
+        if self._ground is None or len(points) == 0:
+            return np.full(len(points), UNCLASSIFIED, np.uint8), certain
+        return self._ground.classes(*points.columns()), certain
 
 
 @kernel
-def _between(values: Float64, row: Float64, column: Float64) -> Float64:
-    """Bilinear interpolation; NaN outside of the raster, and beside cells without a value."""
-    rows, columns = values.shape
-    found = np.full(row.size, np.nan)
-    for k in range(row.size):
-        i, j = int(np.floor(row[k])), int(np.floor(column[k]))
-        if 0 <= i < rows - 1 and 0 <= j < columns - 1:
-            v, u = row[k] - i, column[k] - j
-            lower = values[i, j] * (1.0 - u) + values[i, j + 1] * u
-            upper = values[i + 1, j] * (1.0 - u) + values[i + 1, j + 1] * u
-            found[k] = lower * (1.0 - v) + upper * v
-    return found
+def _between(values: Float64, x: int, y: int, place: Place) -> float:
+    """A value of a raster at a point, bilinear; NaN outside of it, and beside cells without a value."""
+    column = (x + place.origin_x) / place.side - place.column - 0.5
+    row = (y + place.origin_y) / place.side - place.row - 0.5
+    i, j = int(np.floor(row)), int(np.floor(column))
+    if not (0 <= i < values.shape[0] - 1 and 0 <= j < values.shape[1] - 1):
+        return np.nan
+    v, u = row - i, column - j
+    lower = values[i, j] * (1.0 - u) + values[i, j + 1] * u
+    upper = values[i + 1, j] * (1.0 - u) + values[i + 1, j + 1] * u
+    return float(lower * (1.0 - v) + upper * v)
+
+
+@kernel
+def _heights_above(
+    x: Int32, y: Int32, z: Int32, surface: Float64, place: Place, metre: float, unit: float
+) -> tuple[Float64, Int32]:
+    """Height of each point above the surface in metres (NaN: there is none), and in whole units (0 far from it)."""
+    above, residual = np.empty(x.size, np.float64), np.zeros(x.size, np.int32)
+    for k in range(x.size):
+        above[k] = z[k] / metre - _between(surface, wide(x[k]), wide(y[k]), place)
+        if abs(above[k]) < CLEAR_M:
+            residual[k] = np.int32(np.rint(above[k] * unit))
+    return above, residual
+
+
+@kernel
+def _classes(
+    x: Int32, y: Int32, above: Float64, voted: Int32, sigma: Float64, narrowing: Float64, place: Place, unit: float
+) -> UInt8:  # fmt: skip
+    """ASPRS classes of points from their heights above the surface, and from what their neighbours voted near it."""
+    classes = np.full(x.size, UNCLASSIFIED, np.uint8)
+    for k in range(x.size):
+        near = abs(above[k]) < CLEAR_M
+        height = voted[k] / unit if near else above[k]
+        noise = _between(sigma, wide(x[k]), wide(y[k]), place)
+        if height < -(LOW_M + LOW_SIGMAS * noise):
+            classes[k] = LOW_NOISE
+        elif near:
+            band = (GROUND_M + GROUND_SIGMAS * noise) * _between(narrowing, wide(x[k]), wide(y[k]), place)
+            if abs(height) < band:
+                classes[k] = GROUND
+    return classes
 
 
 PASSES: tuple[Pass, ...] = (CellPass(), ObjectPass(), ObjectPass(name="inner-objects"), SurfacePass())

@@ -11,7 +11,17 @@ from ptd.frame import Cells, Scale, Window
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.ground.roughness import Roughness
 from ptd.matched.cells import cell_heights, raster_of
-from ptd.matched.passes import OBJECT, PASSES, CellModel, Codes, GroundModel, ObjectPass, _between, noise_m
+from ptd.matched.passes import (
+    OBJECT,
+    PASSES,
+    CellModel,
+    Codes,
+    Ground,
+    ObjectPass,
+    Place,
+    _heights_above,
+    noise_m,
+)
 from ptd.matched.surface import Surface
 from ptd.methods.auto.method import Auto
 from ptd.methods.auto.settings import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen, decided
@@ -118,9 +128,8 @@ def test_points_are_ground_within_the_tolerance_about_the_surface_and_low_noise_
     def labels(narrowing: float) -> list[int]:
         shape = raster.heights.shape
         found = Surface(np.full(shape, 10.0), np.full(shape, 0.1), np.full(shape, narrowing))
-        model = GroundModel(raster, found, cells, MM, survey(0.1)["survey"])
-        xyz = np.stack([x, np.full_like(x, 5300), np.rint(1000 * z).astype(np.int32)])
-        return model.label(Points(xyz))[0].tolist()
+        ground = Ground(found, Place(0, 0, 1000.0, raster.column, raster.row), MM, 0.1, 12.0)
+        return ground.classes(x, np.full_like(x, 5300), np.rint(1000 * z).astype(np.int32)).tolist()
 
     g, u, n = int(GROUND), int(UNCLASSIFIED), int(LOW_NOISE)
     assert labels(1.0) == [g, g, u, g, u, u, n, n, u]
@@ -129,8 +138,17 @@ def test_points_are_ground_within_the_tolerance_about_the_surface_and_low_noise_
 
 def test_heights_between_cells_are_those_of_a_plane() -> None:
     row, column = np.mgrid[:6, :8].astype(float)
-    v, u = np.array([0.0, 2.25, 4.99]), np.array([0.5, 3.75, 6.99])
-    assert np.allclose(_between(2 * row - 3 * column, v, u), 2 * v - 3 * u)
-    assert np.isnan(_between(row, np.array([-0.1, 5.0, 2.0]), np.array([2.0, 2.0, 7.5]))).all()
+
+    def surface(values: np.ndarray, v: list[float], u: list[float]) -> np.ndarray:
+        """Of a raster whose first cell is the one at (-2, 3), at places in cells from its centre on."""
+        x, y = (
+            np.rint(1000 * (np.array(a) + 0.5 + first)).astype(np.int32) for a, first in ((u, -2), (v, 3))
+        )
+        place = Place(0, 0, 1000.0, -2, 3)
+        return -_heights_above(x, y, np.zeros_like(x), values, place, 1000.0, 16_000.0)[0]
+
+    v, u = [0.0, 2.25, 4.99], [0.5, 3.75, 6.99]
+    assert np.allclose(surface(2 * row - 3 * column, v, u), 2 * np.array(v) - 3 * np.array(u))
+    assert np.isnan(surface(row, [-0.1, 5.0, 2.0], [2.0, 2.0, 7.5])).all()
     row[2, 3] = np.nan
-    assert np.isnan(_between(row, np.array([1.5]), np.array([2.5]))).all()
+    assert np.isnan(surface(row, [1.5], [2.5])).all()
