@@ -96,7 +96,8 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
     from tiler.core.lattice import Bounds, Cell
     from tiler.plan import make_plan
     from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks
-    from tiler.stages.raster_tasks import Gridding, raster_tasks
+    from tiler.stages.gridding import Gridding
+    from tiler.stages.raster_table import wanted
     from tiler.stages.tasks import Assembled, Source, filter_tasks, label_digests
     from tiler.store import BucketInfo, create_store
 
@@ -138,9 +139,9 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         facts["tiles"] = len(tasks)
         labels = timed("label_digests", lambda: label_digests(assembled, {}))
         g = Gridding(plan, assembled, labels)
-        for name in ("dtm", "hillshade", "density"):
-            made = timed(f"tasks_{name}", lambda name=name: list(raster_tasks(name, g)))
-            g.made[name] = {t.key: (t.digest, {"checksum": t.digest, "filled": 1}) for t in made}
+        for raster in wanted(config):
+            made = timed(f"tasks_{raster.name}", lambda raster=raster: list(raster.tasks(raster, g)))
+            g.made[raster.name] = {t.key: (t.digest, {"checksum": t.digest, "filled": 1}) for t in made}
         facts["blocks"] = len(g.made["dtm"])
         spooled = {
             f"s{i:06d}-{0:012d}": ("", {"buckets": [[c.ix, c.iy, 1] for c in cells[i * 20 : i * 20 + 20]]})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,9 @@ def derive_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ----------
     store_url : str
     args : dict
-        ``name``: of the raster in the store. ``product``: ``hillshade``, ``slope`` or ``ndsm``. ``spec``: `RasterSpec`
-        as JSON. ``block``: row, col, height, width. ``dtm``, ``dsm``: names of the rasters that it follows from.
+        ``name``: of the raster in the store, ``hillshade``, ``slope`` or ``ndsm``. ``spec``: `RasterSpec` as JSON.
+        ``block``: row, col, height, width. ``sources``: names of the rasters that it follows from: the terrain's, or
+        for ``ndsm`` the surface's and the terrain's. ``fill``: where it has no value.
 
     Returns
     -------
@@ -32,7 +33,7 @@ def derive_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``pixels``, ``filled``; ``checksum``.
     """
     store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
-    found = _PRODUCTS[args["product"]](store, spec, block, args)
+    found = _PRODUCTS[args["name"]](store, spec, block, args["sources"])
     fill = np.float32(args["fill"])
     values = np.where(np.isnan(found), fill, found.astype(np.float32))
     store.write_block(args["name"], block, values)
@@ -59,28 +60,29 @@ def _with_rim(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Fl
 
 
 def _terrain_gradients(
-    store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any]
+    store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]
 ) -> tuple[Float64, Float64]:
     # Counts of a pixel as vertical units: feet below heights in metres, or the other way round.
     frame = store.meta.frame
     step = spec.lattice.size * frame.metres_xy / frame.units.vertical
-    return gradients(_with_rim(store, args["dtm"], spec, block), float(step))
+    return gradients(_with_rim(store, sources[0], spec, block), float(step))
 
 
-def _hillshade(store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any]) -> Float64:
-    return multidirectional_hillshade(*_terrain_gradients(store, spec, block, args))
+def _hillshade(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]) -> Float64:
+    return multidirectional_hillshade(*_terrain_gradients(store, spec, block, sources))
 
 
-def _slope(store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any]) -> Float64:
-    return slope_deg(*_terrain_gradients(store, spec, block, args))
+def _slope(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]) -> Float64:
+    return slope_deg(*_terrain_gradients(store, spec, block, sources))
 
 
-def _ndsm(store: TileStore, spec: RasterSpec, block: Block, args: dict[str, Any]) -> Float64:
+def _ndsm(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]) -> Float64:
     """Nowhere negative, since the surface is not below the terrain, but over voids that were filled."""
-    return _read(store, args["dsm"], block) - _read(store, args["dtm"], block)
+    surface, terrain = sources
+    return _read(store, surface, block) - _read(store, terrain, block)
 
 
-_PRODUCTS: dict[str, Callable[[TileStore, RasterSpec, Block, dict[str, Any]], Float64]] = {
+_PRODUCTS: dict[str, Callable[[TileStore, RasterSpec, Block, Sequence[str]], Float64]] = {
     "hillshade": _hillshade,
     "slope": _slope,
     "ndsm": _ndsm,

@@ -13,8 +13,8 @@ from tiler.runs.job import Job
 from tiler.schedule import Task, digest_of
 from tiler.stages.changed_outputs import take_back_spoilt
 from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks
+from tiler.stages.gridding import Gridding
 from tiler.stages.outdated import put_aside
-from tiler.stages.raster_tasks import Gridding
 from tiler.stages.tasks import Source, area_key, classified_tasks
 from tiler.store import Commits
 

@@ -17,7 +17,9 @@ from tiler.export import write_cog, write_mosaic
 from tiler.io.locations import joined
 from tiler.plan import GRID_BLOCK, Plan
 from tiler.schedule import Task, digest_of
-from tiler.stages.raster_tasks import Gridding, checksums, final
+from tiler.stages.gridding import Gridding
+from tiler.stages.raster_table import final, raster_table
+from tiler.stages.raster_tasks import checksums
 from tiler.stages.tasks import Source, area_key, by_source
 from tiler.store import Commits
 from tiler.version import __version__
@@ -61,11 +63,12 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
     input makes new sheets where it lies.
     """
     cut = [] if g.plan.config.sheets is None else [(s, inputs.digest(s.cells)) for s in sheets(g)]
+    rasters = raster_table(g.plan.config)
     for name in g.plan.config.exported:
         raster = final(name, g.plan.config)
         common: dict[str, Any] = {
             "raster": raster, "product": name, "compress": g.plan.config.compress, "area": area_key(g.plan),
-            "fill": g.fill_of(raster), **_nodata(g.plan, name),
+            "fill": rasters[raster].fill, **_nodata(g.plan, name),
         }  # fmt: skip
         if g.plan.config.sheets is None:
             tags = _tags(g.plan, whole_inputs)

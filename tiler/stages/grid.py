@@ -22,7 +22,9 @@ from tiler.plan.advice import roofs_in_terrain
 from tiler.runs.job import Job
 from tiler.runs.worker import compute
 from tiler.schedule import Task, digest_of
-from tiler.stages.raster_tasks import WHOLE, Gridding, raster_tasks, wanted
+from tiler.stages.gridding import Gridding, Raster
+from tiler.stages.raster_table import wanted
+from tiler.stages.raster_tasks import WHOLE
 from tiler.stages.tasks import Assembled
 from tiler.store import Commits
 
@@ -37,9 +39,9 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
     """All rasters that the products need, block by block."""
     _settle_surface(job)
     gridding = Gridding(job.plan, assembled, labels, _holes(job))
-    for name in wanted(job.plan.config):
-        tasks = list(raster_tasks(name, gridding))
-        gridding.made[name] = _raster(job, gridding, name, tasks)
+    for raster in wanted(job.plan.config):
+        name, tasks = raster.name, list(raster.tasks(raster, gridding))
+        gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks)
         if name == "dtm":
             _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
             _advise(job, gridding.spec, gridding.made[name])
@@ -79,12 +81,12 @@ def _holes(job: Job) -> list[Bounds]:
     return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in found]
 
 
-def _raster(job: Job, gridding: Gridding, name: str, tasks: list[Task]) -> Commits:
+def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task]) -> Commits:
     """Make one raster of the store."""
-    stage, spec, fill = f"grid-{name}", gridding.spec_of(name), gridding.fill_of(name)
+    name, stage = raster.name, raster.stage
     done, stale = job.sorted_out(stage, tasks)
     job.take_back(stage, stale)
-    job.store.create_raster(name, spec.height, spec.width, fill)
+    job.store.create_raster(name, spec.height, spec.width, raster.fill)
     if WHOLE not in done:
         stored = {spec.block_at(*place, GRID_BLOCK).name for place in job.store.stored_blocks(name)}
         lost = {key for key, (_, record) in done.items() if record.get("filled")} - stored

@@ -125,7 +125,7 @@ def test_blocks_do_not_show_and_units_count(product: str, tmp_path: Path) -> Non
             store.write_block("dtm", b, values[b.row : b.row + b.height, b.col : b.col + b.width])
         for b in spec.blocks(512):
             derive_block(store.url, {
-                "name": product, "product": product, "spec": spec.to_json(), "fill": fill, "dtm": "dtm",
+                "name": product, "spec": spec.to_json(), "fill": fill, "sources": ["dtm"],
                 "block": [b.row, b.col, b.height, b.width],
             })  # fmt: skip
         whole = [store.read_block(product, b) for b in spec.blocks(1024)]

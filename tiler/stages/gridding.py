@@ -1,0 +1,100 @@
+"""What the stage grid works on, and a row of the table of rasters (`tiler.stages.raster_table`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from fractions import Fraction
+
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.raster import RasterSpec
+from tiler.plan import Plan
+from tiler.schedule import Task, Work
+from tiler.stages.tasks import Assembled, raster_spec
+from tiler.store import Commits
+
+COARSE_SHARE = 16
+"""Coarse cells along the longest edge of a facet."""
+MAX_COARSE_CELLS = 8_000_000
+"""Coarse cells of a run at most; larger runs have larger cells, so that the memory of one worker suffices."""
+
+
+class Grid(Enum):
+    """Which lattice a raster is on."""
+
+    PIXELS = "the pixels of the products"
+    COARSE = "the coarse cells of the run"
+
+
+@dataclass(frozen=True)
+class Raster:
+    """One raster of the store.
+
+    Attributes
+    ----------
+    name : str
+        In the store; the stage that makes it is ``grid-<name>``.
+    inputs : tuple of str
+        The rasters that it is made from, made before it, in the order in which ``tasks`` expects them.
+    work : Work
+        What makes a block of it, or the whole.
+    grid : Grid
+    tasks : callable
+        ``tasks(raster, gridding)``: how its work is divided, and what the digest of each task depends on.
+    fill : float
+        What it holds where no block was written.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    work: Work
+    grid: Grid
+    tasks: Callable[[Raster, Gridding], Iterator[Task]]
+    fill: float = 0.0
+
+    @property
+    def stage(self) -> str:
+        """Name of the stage of its tasks."""
+        return f"grid-{self.name}"
+
+
+@dataclass
+class Gridding:
+    """What the stage grid works on, and what it has made: name of a raster -> commits of its blocks.
+
+    Attributes
+    ----------
+    holes : sequence of Bounds
+        Where tiles failed, so that heights there, if any, come from elsewhere.
+    """
+
+    plan: Plan
+    assembled: Assembled
+    labels: Mapping[Cell, str]
+    holes: Sequence[Bounds] = ()
+    made: dict[str, Commits] = field(default_factory=dict)
+
+    @property
+    def spec(self) -> RasterSpec:
+        """Pixels of the products."""
+        return raster_spec(self.plan, self.assembled)
+
+    @property
+    def coarse(self) -> RasterSpec:
+        """Coarse cells of the run."""
+        size, bounds = self.coarse_m, self.assembled.bounds
+        return RasterSpec.covering(Lattice(self.plan.meta.frame.counts(size)), bounds)
+
+    @property
+    def coarse_m(self) -> Fraction:
+        """Metres of a coarse cell."""
+        size = max(self.plan.config.max_edge / COARSE_SHARE, self.plan.resolution)
+        area = self.assembled.bounds.area() * self.plan.meta.frame.metres_xy**2
+        while area / size**2 > MAX_COARSE_CELLS:
+            size *= 2
+        return size
+
+    def spec_of(self, raster: Raster) -> RasterSpec:
+        """Pixels or cells of a raster."""
+        return self.coarse if raster.grid is Grid.COARSE else self.spec
