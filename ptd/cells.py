@@ -43,11 +43,14 @@ def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
 @kernel
 def lowest_by_key(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> Int32:
     """Lowest point of each cell, -1 where there is none: int32 [n_cells]."""
-    lowest = np.full(n_cells, -1, np.int32)
+    lowest, height = np.full(n_cells, -1, np.int32), np.full(n_cells, 2**31 - 1, np.int32)
     for i in range(keys.size):
-        j = lowest[keys[i]]
-        if j < 0 or is_lower(x, y, z, i, j):
-            lowest[keys[i]] = i
+        height[keys[i]] = min(height[keys[i]], z[i])
+    for i in range(keys.size):  # next to none is as low
+        if z[i] == height[keys[i]]:
+            j = lowest[keys[i]]
+            if j < 0 or is_lower(x, y, z, i, j):
+                lowest[keys[i]] = i
     return lowest
 
 

@@ -250,6 +250,8 @@ def _classes(
     for k in range(x.size):
         near = abs(above[k]) < CLEAR_M
         height = voted[k] / unit if near else above[k]
+        if not (near or height < 0.0):
+            continue
         noise = _between(sigma, wide(x[k]), wide(y[k]), place)
         if height < -(LOW_M + LOW_SIGMAS * noise):
             classes[k] = LOW_NOISE
