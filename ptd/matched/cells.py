@@ -20,6 +20,8 @@ STEEPEST = 2.0
 """Slopes between neighbouring cells up to which they are taken off before heights are compared."""
 MODE_SHARE, MODE_POINTS = 0.1, 2
 """The lowest window with this share of the cell's points, and this many, is its surface: single blunders are fewer."""
+FEW = 128
+"""Up to so many points of a cell are sorted by counting."""
 
 Float64 = npt.NDArray[np.float64]
 
@@ -41,7 +43,7 @@ def by_cell(keys: Int64, n_cells: int) -> tuple[Int64, Int32]:
 
 
 @kernel
-def _lowest_mode(values: Int64, width: int, share: float, least: int) -> tuple[int, int]:
+def _lowest_mode(values: Int32, width: int, share: float, least: int) -> tuple[int, int]:
     """Median of the lowest window of sorted values that holds enough of them, and how many it holds (0: none does)."""
     n = values.size
     need, last = max(math.ceil(share * n), least), 0
@@ -54,12 +56,35 @@ def _lowest_mode(values: Int64, width: int, share: float, least: int) -> tuple[i
 
 
 @kernel
+def _sort(values: Int32, room: Int32) -> None:
+    """Sort a few values by how many are smaller: without branches, faster than comparing pair by pair."""
+    n = values.size
+    if n > FEW:
+        values.sort()
+        return
+    for i in range(n):
+        own, rank = values[i], np.int32(0)
+        for k in range(i):
+            rank += np.int32(values[k] <= own)
+        for k in range(i + 1, n):
+            rank += np.int32(values[k] < own)
+        room[rank] = own
+    for i in range(n):
+        values[i] = room[i]
+
+
+@kernel
 def _level_heights(z: Int32, starts: Int64, order: Int32, width: int) -> tuple[Int64, Int64]:
     """Height of each cell, and on how many points it rests (0: it has none)."""
     heights, counts = np.zeros(starts.size - 1, np.int64), np.zeros(starts.size - 1, np.int64)
+    buffer, room = np.empty(np.diff(starts).max(), np.int32), np.empty(FEW, np.int32)
     for k in range(starts.size - 1):
-        if starts[k + 1] > starts[k]:
-            values = np.sort(z[order[starts[k] : starts[k + 1]]].astype(np.int64))
+        begin, n = starts[k], starts[k + 1] - starts[k]
+        if n > 0:
+            values = buffer[:n]
+            for i in range(n):
+                values[i] = z[order[begin + i]]
+            _sort(values, room)
             heights[k], counts[k] = _lowest_mode(values, width, MODE_SHARE, MODE_POINTS)
     return heights, counts
 
@@ -71,22 +96,26 @@ def _tilted_heights(
 ) -> Int64:  # fmt: skip
     """Heights of cells whose neighbours tell a slope, with that slope taken off, if more points agree on them then."""
     heights = level.copy()
+    buffer, room = np.empty(np.diff(starts).max(), np.int32), np.empty(FEW, np.int32)
     for k in range(columns + 1, starts.size - 1 - columns - 1):
         west, east, south, north = counts[k - 1], counts[k + 1], counts[k - columns], counts[k + columns]
-        if counts[k] == 0 or west == 0 or east == 0 or south == 0 or north == 0:
+        begin, n = starts[k], starts[k + 1] - starts[k]
+        if counts[k] == 0 or counts[k] == n or west == 0 or east == 0 or south == 0 or north == 0:
             continue
         eastward, northward = level[k + 1] - level[k - 1], level[k + columns] - level[k - columns]
         if abs(eastward) > steepest or abs(northward) > steepest:
             continue
         cx, cy = centre_x[k % columns], centre_y[k // columns]
-        span_x = centre_x[k % columns + 1] - centre_x[k % columns - 1]
-        span_y = centre_y[k // columns + 1] - centre_y[k // columns - 1]
-        values = np.empty(starts[k + 1] - starts[k], np.int64)
-        for i in range(values.size):
-            j = order[starts[k] + i]
-            values[i] = z[j] - eastward * (x[j] - cx) // span_x - northward * (y[j] - cy) // span_y
-        found, n = _lowest_mode(np.sort(values), width, MODE_SHARE, MODE_POINTS)
-        if n > counts[k]:
+        span_x = float(centre_x[k % columns + 1] - centre_x[k % columns - 1])
+        span_y = float(centre_y[k // columns + 1] - centre_y[k // columns - 1])
+        values = buffer[:n]
+        for i in range(n):  # whole numbers, but divided as floats: that is faster, and exact below 2**52
+            j = order[begin + i]
+            rise = math.floor(eastward * (x[j] - cx) / span_x) + math.floor(northward * (y[j] - cy) / span_y)
+            values[i] = z[j] - rise
+        _sort(values, room)
+        found, agree = _lowest_mode(values, width, MODE_SHARE, MODE_POINTS)
+        if agree > counts[k]:
             heights[k] = found
     return heights
 
