@@ -28,8 +28,9 @@ CUT_CELLS = 3
 BLOCK = 8
 """Side of the blocks of cells that are passed over where their lowest cell is too high to matter, and whose lowest
 cells say how the terrain slopes."""
-TILT_BLOCKS = 2.0
-"""Standard deviation of the surroundings from which a slope is taken, in blocks."""
+TILT_BLOCKS, ROOFS_TILT_BLOCKS = 1.0, 2.0
+"""Standard deviation of the surroundings from which a slope is taken, in blocks; and where there are large roofs yet,
+which must not tilt what is looked for below them."""
 TILT_RADIUS, LEAST_WEIGHT = 5, 1e-3
 """Blocks at which those surroundings end, and the weight of their cells from which on there is a slope."""
 LOWEST = -(2**31) + 1
@@ -85,13 +86,13 @@ def _block_minima(heights: Int32) -> Int32:
     return lowest
 
 
-def tilts(heights: Int32) -> tuple[Int64, Int64]:
+def tilts(heights: Int32, std_blocks: float) -> tuple[Int64, Int64]:
     """Slope of the lowest cells of blocks to the north and to the east: vertical counts a cell, int64 by block."""
     lowest, margin = _block_minima(heights), TILT_RADIUS + 1
     there = np.pad((lowest != EMPTY).astype(np.float64), margin)
     values = np.pad(np.where(lowest != EMPTY, lowest, 0).astype(np.float64), margin)
-    weight = _smooth(there)
-    mean = _smooth(values) / np.maximum(weight, 1e-9)
+    weight = _smooth(there, std_blocks)
+    mean = _smooth(values, std_blocks) / np.maximum(weight, 1e-9)
     found = []
     for axis in (0, 1):
         ahead, behind = np.roll(mean, -1, axis), np.roll(mean, 1, axis)
@@ -101,8 +102,8 @@ def tilts(heights: Int32) -> tuple[Int64, Int64]:
     return found[0], found[1]
 
 
-def _smooth(values: Float64) -> Float64:
-    found: Float64 = gaussian_filter(values, TILT_BLOCKS, mode="constant", radius=TILT_RADIUS)
+def _smooth(values: Float64, std: float) -> Float64:
+    found: Float64 = gaussian_filter(values, std, mode="constant", radius=TILT_RADIUS)
     return found
 
 
@@ -198,7 +199,9 @@ def _union(
     return hull
 
 
-def hull_below(heights: Int32, rule: Hull, scale: Scale, row: int, column: int) -> Int32:
+def hull_below(
+    heights: Int32, rule: Hull, scale: Scale, row: int, column: int, tilt_blocks: float = TILT_BLOCKS
+) -> Int32:
     """The hull of a raster of cells.
 
     Parameters
@@ -209,6 +212,8 @@ def hull_below(heights: Int32, rule: Hull, scale: Scale, row: int, column: int) 
     scale : Scale
     row, column : int
         Place of the first cell on its lattice, multiples of `BLOCK`: centres are anchored there.
+    tilt_blocks : float
+        Standard deviation of the surroundings that say how the terrain slopes, in blocks.
 
     Returns
     -------
@@ -216,7 +221,7 @@ def hull_below(heights: Int32, rule: Hull, scale: Scale, row: int, column: int) 
         Vertical counts; `LOWEST` beyond reach of the cells.
     """
     falls, stride, lowest = rule.falls(scale), rule.stride, _block_minima(heights)
-    north, east = tilts(heights)
+    north, east = tilts(heights, tilt_blocks)
     if stride == 1:
         return hull_around_every_cell(heights, EMPTY, LOWEST, falls, CUT_CELLS, BLOCK, north, east)
     return _union(heights, lowest, falls, stride, -row % stride, -column % stride, CUT_CELLS, north, east)

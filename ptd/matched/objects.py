@@ -15,7 +15,7 @@ from ptd.frame import Scale
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
 from ptd.matched.cells import CELL_M, EMPTY
-from ptd.matched.hull import BLOCK, tilts
+from ptd.matched.hull import BLOCK, ROOFS_TILT_BLOCKS, tilts
 
 STEP_M, STEP_SIGMAS = 0.5, 3.0
 """Neighbours on a surface differ by less than the larger of both (by half as much again across corners)."""
@@ -36,6 +36,8 @@ WIDEST_M = 200.0
 TERRAIN_M, TERRAIN_FALLS = 100.0, 0.25
 """So is what is wider than this and falls at no more than this share of its rim, however little of it the hull touches:
 ridges and crests."""
+ON_HULL_M, ON_HULL_SHARE = 50.0, 0.5
+"""And what is wider than this, falls as little, and lies near the hull by this share: the ground of a small survey."""
 INSIDE_SHARE = 0.5
 """A surface of any size is judged if so much of its rim is that of objects found before: equipment on a roof."""
 
@@ -155,7 +157,7 @@ def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Sc
     objects, terrain : bool [rows, columns]
     """
     step = scale.counts_z(max(STEP_M, STEP_SIGMAS * sigma_m))
-    surface, n = _surfaces(heights, step, *tilts(heights))
+    surface, n = _surfaces(heights, step, *tilts(heights, ROOFS_TILT_BLOCKS))
     near_counts, fall_counts = round(scale.counts_z(NEAR_M)), round(scale.counts_z(FALL_M))
     counts, box = _rims(heights, surface, n, hull, removed, near_counts, fall_counts)
     area, near, rim, falls, inside, cut = counts.T
@@ -167,5 +169,6 @@ def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Sc
     around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
     objects = large & stands & (width_m <= WIDEST_M)
-    terrain = (width_m > TERRAIN_M) & (fallen <= TERRAIN_FALLS) | (width_m > WIDEST_M)
+    wide = (width_m > TERRAIN_M) | (width_m > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
+    terrain = wide & (fallen <= TERRAIN_FALLS) & ~objects | (width_m > WIDEST_M)
     return np.append(objects, False)[surface], np.append(terrain, False)[surface]

@@ -14,7 +14,7 @@ from ptd.ground.morphology import Bool
 from ptd.kernel import kernel, wide
 from ptd.matched import objects, surface, voting
 from ptd.matched.cells import CELL_M, EMPTY, Raster, cell_heights, raster_of
-from ptd.matched.hull import hull_below
+from ptd.matched.hull import ROOFS_TILT_BLOCKS, hull_below
 from ptd.passes import Int32, Model, Pass, Points, State, UInt8
 
 LEFT, TERRAIN, OBJECT = 1, 2, 3
@@ -104,7 +104,7 @@ class ObjectPass(MatchedPass):
         before = np.zeros(raster.heights.size, np.bool_)
         before[raster.keys[codes == OBJECT]] = True
         removed = before.reshape(raster.heights.shape)
-        hull = hull_below(raster.heights, surface.STIFF, scale, raster.row, raster.column)
+        hull = hull_below(raster.heights, surface.STIFF, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
         left = np.where(removed, EMPTY, raster.heights).astype(np.int32)
         large, terrain = objects.judged(left, hull, removed, noise_m(state), scale)
         codes[large.reshape(-1)[raster.keys]] = OBJECT

@@ -2,7 +2,8 @@
 
 1. Two hulls. The stiffer is right below trees, where ground is seen through gaps alone; the other follows terrain.
    Between them decides the *contrast*: above ground there is a gap up to what stands on it, above a hull that climbed
-   into plants there are as many cells as on it.
+   into plants there are as many cells as on it. Cells of what is terrain as a whole are no plants: a hull lies below
+   crests.
 2. Still less stiff hulls follow banks, ridges and crests, where what lies above the surface is terrain's as a whole
    (`ptd.matched.objects`), or nearly all around is ground.
 3. `ROUNDS` times, the mean residual of the cells that lie about the surface is added, at two scales. Noise is the
@@ -34,9 +35,9 @@ OPEN_GROUND = 0.3
 """Curvature up to which open ground all around is reason enough; beyond, only terrain as a whole is: cars are small."""
 BAND_M, BAND_SIGMAS, BAND_SLOPE = 0.15, 2.5, 0.15
 """What lies on a hull lies so near it: metres, times the noise, and metres per unit of slope."""
-CONTRAST_M, CONTRAST = 12.0, (0.3, 0.7)
+CONTRAST_M, CONTRAST = 12.0, (0.5, 1.0)
 """Standard deviation of the surroundings in which cells are counted; contrast up to which the pliable hull holds, and
-from which on the stiff one does."""
+from which on the stiff one does: half as many above a hull as on it, as many."""
 RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST = 6.0, (0.6, 0.85), (0.05, 0.15)
 """The same for ridges, and the share of open ground or of terrain from which on, and at which, their hulls hold."""
 TERRAIN_M = 8.0
@@ -180,12 +181,14 @@ def _slope(cells: _Cells, surface: Float64) -> Float64:
     return np.minimum(found, STEEPEST)
 
 
-def _contrast(cells: _Cells, surface: Float64, sigma_m: float, std_m: float) -> tuple[Float64, Float64]:
-    """Cells just above a surface in parts of those on it, around each cell; and the share of the latter."""
+def _contrast(
+    cells: _Cells, counted: Bool, surface: Float64, sigma_m: float, std_m: float
+) -> tuple[Float64, Float64]:
+    """Cells just above a surface that are counted in parts of those on it, around each cell; share of the latter."""
     band = BAND_M + BAND_SIGMAS * sigma_m + BAND_SLOPE * _slope(cells, surface)
     residual = cells.height - surface
     on = cells.around(cells.there & (np.abs(residual) < band), std_m)
-    above = cells.around(cells.there & (residual >= band) & (residual < 3.0 * band), std_m)
+    above = cells.around(counted & (residual >= band) & (residual < 3.0 * band), std_m)
     return above / np.maximum(on, 1e-3), on
 
 
@@ -193,11 +196,11 @@ def _bent(cells: _Cells, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m
     """The hull that bends as much as the cells show."""
     stiff = hull(STIFF)
     pliable = np.maximum(hull(PLIABLE), stiff)
-    contrast, _ = _contrast(cells, pliable, sigma_m, CONTRAST_M)
+    contrast, _ = _contrast(cells, cells.there & ~terrain, pliable, sigma_m, CONTRAST_M)
     surface = pliable - _ramp(contrast, CONTRAST) * (pliable - stiff)
     for rule in RIDGES:
         ridges = np.maximum(hull(rule), surface)
-        contrast, on = _contrast(cells, ridges, sigma_m, RIDGE_M)
+        contrast, on = _contrast(cells, cells.there, ridges, sigma_m, RIDGE_M)
         share = _of_terrain(cells, terrain, surface, sigma_m)
         if rule.curvature <= OPEN_GROUND:
             share = np.maximum(share, on)

@@ -9,7 +9,7 @@ import pytest
 
 from ptd.frame import Scale
 from ptd.matched.cells import EMPTY
-from ptd.matched.hull import BLOCK, CUT_CELLS, LOWEST, Hull, hull_below, tilts
+from ptd.matched.hull import BLOCK, CUT_CELLS, LOWEST, TILT_BLOCKS, Hull, hull_below, tilts
 
 MM = Scale()
 STRIDE_M = 0.04
@@ -27,7 +27,7 @@ def terrain(rows: int, columns: int, empty: float, seed: int, slope: float = 0.0
 def slow_hull(heights: np.ndarray, rule: Hull, row: int, column: int) -> np.ndarray:
     """Every paraboloid with every cell."""
     falls, s = rule.falls(MM), rule.stride
-    north, east = tilts(heights)
+    north, east = tilts(heights, TILT_BLOCKS)
     hull = np.full(heights.shape, LOWEST, np.int64)
     for r in range(-row % s, heights.shape[0], s):
         for c in range(-column % s, heights.shape[1], s):
@@ -77,7 +77,7 @@ def raster(side: int) -> tuple[np.ndarray, np.ndarray]:
 def test_a_plane_is_its_own_hull(slope: float, rule: Hull) -> None:
     row, column = raster(160)
     z = slope * row + 0.3 * column
-    north, east = tilts(counts(z))
+    north, east = tilts(counts(z), TILT_BLOCKS)
     assert np.allclose(north[7:-7, 7:-7], 1000 * slope, atol=1)
     assert np.allclose(east[7:-7, 7:-7], 300, atol=1)
     error = hull_below(counts(z), rule, MM, 0, 0)[56:-56, 56:-56] / 1000 - z[56:-56, 56:-56]
@@ -98,7 +98,7 @@ def test_hills_that_bend_less_and_bowls_are_followed(share: float) -> None:
     z = bend / 2 * (row**2 + column**2)
     error = hull_below(counts(z), rule, MM, 0, 0)[56:-56, 56:-56] / 1000 - z[56:-56, 56:-56]
     off = 2 * 8 * bend**2 / (rule.curvature + bend) if bend > 0 else 0.0
-    assert -0.1 - off < error.min() <= error.max() < 0.15
+    assert -0.14 - off < error.min() <= error.max() < 0.15
 
 
 def test_hills_that_bend_more_are_cut() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from ptd.frame import Scale
 from ptd.matched.cells import EMPTY
-from ptd.matched.hull import hull_below, tilts
+from ptd.matched.hull import ROOFS_TILT_BLOCKS, hull_below, tilts
 from ptd.matched.objects import WIDEST_M, _surfaces, judged
 from ptd.matched.surface import STIFF
 
@@ -63,6 +63,14 @@ def test_what_a_step_parts_from_the_rest_of_a_small_survey_is_ground_on_both_sid
     assert not objects.any()
 
 
+@pytest.mark.parametrize(("side", "is_terrain"), [(60, True), (40, False)])
+def test_the_ground_of_a_small_survey_is_terrain_ditch_or_not(side: int, is_terrain: bool) -> None:
+    """Half of it lies on the stiff hull, and it does not fall: a crest beside a ditch is no plants."""
+    column = np.arange(side)
+    z = np.broadcast_to(-2.0 * np.clip(5 - abs(column - 15), 0, 3) / 3, (side, side))
+    assert of(z)[1].all() == is_terrain
+
+
 @pytest.mark.parametrize(("wide", "is_object"), [(int(WIDEST_M), True), (int(WIDEST_M) + 1, False)])
 def test_what_is_wider_than_a_limit_is_terrain(wide: int, is_object: bool) -> None:
     side = 260
@@ -104,7 +112,7 @@ def test_a_platform_that_leans_on_a_hall_goes_after_it() -> None:
 def test_a_slope_is_one_surface(slope: float) -> None:
     row, column = np.mgrid[:140, :140]
     heights = np.rint(1000 * (slope * row + 0.1 * column)).astype(np.int32)
-    surface, _ = _surfaces(heights, 500.0, *tilts(heights))
+    surface, _ = _surfaces(heights, 500.0, *tilts(heights, ROOFS_TILT_BLOCKS))
     inner = surface[24:-24, 24:-24]
     assert (inner == inner[0, 0]).all()
 
