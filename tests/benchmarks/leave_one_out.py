@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import product
 from statistics import mean
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
 from ptd import classify
+from ptd.matched import passes, surface
 from ptd.methods.auto.method import Auto
 from tests.benchmarks.scorecard_scenes import Cloud
 from tiler.apps.evaluate import IGNORED, evaluate_labels
@@ -22,6 +25,15 @@ FACTORS = (0.75, 1.0, 1.25)
 """Of their defaults."""
 
 GROUND = 2
+
+MATCHED_GRID: dict[str, tuple[Any, ...]] = {
+    "GROUND_M": (0.15, 0.2, 0.25),
+    "RIDGE_CONTRAST": ((0.025, 0.075), (0.05, 0.15), (0.1, 0.3)),
+}
+"""Matched clouds: height above the surface up to which points are ground, contrast up to which ridges are followed."""
+
+OWNERS = {"GROUND_M": passes, "RIDGE_CONTRAST": surface}
+"""Modules whose constants these are."""
 
 
 @dataclass(frozen=True)
@@ -61,33 +73,46 @@ def default_grid() -> dict[str, tuple[float, ...]]:
     return {name: tuple(round(f * getattr(default, name), 4) for f in FACTORS) for name in MAIN_SETTINGS}
 
 
+def matched_default() -> dict[str, Any]:
+    """What `auto` uses of `MATCHED_GRID`."""
+    return {name: getattr(OWNERS[name], name) for name in MATCHED_GRID}
+
+
+def matched_error(cloud: Cloud, settings: Mapping[str, Any]) -> float:
+    """Total error of `auto` with these constants, a fraction of the points that count."""
+    with ExitStack() as replaced:
+        for name, value in settings.items():
+            replaced.enter_context(mock.patch.object(OWNERS[name], name, value))
+        return total_error(cloud, {})
+
+
 def leave_one_out(
-    samples: Mapping[str, Cloud],
-    grid: Mapping[str, tuple[Any, ...]] | None = None,
-    default: Mapping[str, Any] | None = None,
-    error: Callable[[Cloud, Mapping[str, Any]], float] | None = None,
+    samples: Iterable[str],
+    grid: Mapping[str, tuple[Any, ...]] | None,
+    default: Mapping[str, Any] | None,
+    error: Callable[[str, Mapping[str, Any]], float],
 ) -> LeaveOneOut:
     """Score all combinations on all samples, then choose for each sample without it; ties go to the default.
 
     Parameters
     ----------
-    samples : mapping
-        Two or more clouds by name.
-    grid : mapping, optional
-        Values by name of a setting, its default among them; `default_grid`.
-    default : mapping, optional
-        The values that are used without a choice; those of `auto`'s parameters.
-    error : callable, optional
-        What is to be least, of a cloud and the values of a combination; `total_error`.
+    samples : iterable of str
+        Names of two or more clouds.
+    grid : mapping or None
+        Values by name of a setting, its default among them; None: `default_grid`.
+    default : mapping or None
+        The values that are used without a choice; None: those of `auto`'s parameters.
+    error : callable
+        What is to be least, of a cloud's name and the values of a combination.
     """
     chosen = dict(grid or default_grid())
     usual = dict(default or {name: getattr(Auto(), name) for name in chosen})
-    measure = error or total_error
+    names = list(samples)
     combinations = [dict(zip(chosen, values, strict=True)) for values in product(*chosen.values())]
     combinations.sort(key=lambda c: c != usual)  # a stable sort: the default first
-    totals = np.array([[measure(cloud, c) for cloud in samples.values()] for c in combinations])
+    totals = np.array([[error(name, c) for name in names] for c in combinations])
     folds = []
-    for k, name in enumerate(samples):
+    for k, name in enumerate(names):
         first = int(np.delete(totals, k, axis=1).mean(axis=1).argmin())
         changed = {p: v for p, v in combinations[first].items() if v != usual[p]}
         folds.append(Fold(name, changed, float(totals[first, k]), float(totals[0, k])))

@@ -26,7 +26,7 @@ from ptd.methods import make_params
 from ptd.methods.dong2017.greenness import gli_bins
 from ptd.methods.dong2017.method import Dong2017
 from ptd.passes import Points
-from tests.benchmarks.scorecard import GROUND, dtm_rmse_m
+from tests.benchmarks.measuring import GROUND, dtm_rmse_m
 from tests.benchmarks.scorecard_scenes import Cloud, simulated
 from tests.benchmarks.scorecard_text import table
 from tiler.apps.evaluate import IGNORED, evaluate_labels

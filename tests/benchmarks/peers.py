@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import importlib.util
 import json
 import os
+import shutil
+import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from tests.benchmarks.kept import digest, digest_of_modules
 
 Filter = Callable[[np.ndarray], np.ndarray]
 
@@ -65,6 +72,37 @@ def pdal_ground(stages: tuple[dict[str, Any], ...], xyz: np.ndarray) -> np.ndarr
     return np.asarray(pipeline.arrays[0]["Classification"] == 2)
 
 
+def lasr_ptd(xyz: np.ndarray) -> np.ndarray:
+    """Progressive TIN densification of lasR (R), with its defaults, through files."""
+    import laspy
+
+    with tempfile.TemporaryDirectory() as folder:
+        cloud, out = Path(folder, "cloud.las"), Path(folder, "out.las")
+        las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        las.header.scales, las.header.offsets = np.full(3, 0.001), np.floor(xyz.min(axis=0))
+        las.xyz = xyz
+        las.return_number = las.number_of_returns = np.ones(len(xyz), np.uint8)
+        las.write(cloud)
+        program = (
+            "a <- commandArgs(TRUE); library(lasR); "
+            "invisible(exec(classify_with_ptd() + write_las(a[2]), on = a[1]))"
+        )
+        subprocess.run(
+            ["Rscript", "-e", program, str(cloud), str(out)], check=True, stdout=subprocess.DEVNULL
+        )
+        found = laspy.read(out)
+    # Points may come in another order: they are told by their place.
+    return np.asarray(found.classification == 2)[_same_order(las, found)]
+
+
+def _same_order(given: Any, found: Any) -> np.ndarray:
+    """Where each given point is among those found."""
+    order, other = (np.lexsort([np.rint(las[c] * 1000) for c in "zyx"]) for las in (given, found))
+    back = np.empty_like(order)
+    back[order] = other
+    return back
+
+
 def cloth_name(cloth: Cloth) -> str:
     """A heading for a table, without commas, which part names on the command line."""
     if cloth == CLOTH_DEFAULT:
@@ -82,12 +120,27 @@ def installed_peers(every_cloth: bool = False) -> dict[str, Filter]:
         found["PDAL SMRF (peer)"] = partial(pdal_ground, SMRF_ALONE)
         found["PDAL SMRF without outliers (peer)"] = partial(pdal_ground, SMRF_WITHOUT_OUTLIERS)
         found["PDAL PMF (peer)"] = partial(pdal_ground, PMF_ALONE)
+    if _has_lasr():
+        found["lasR PTD (peer)"] = lasr_ptd
     return found
+
+
+def digest_of_peers() -> str:
+    """A key of what the peers' labels follow from, but for PDAL and lasR themselves."""
+    packages = ("cloth-simulation-filter", "pdal")
+    found = {
+        d.metadata["Name"]: d.version
+        for name in packages
+        for d in importlib.metadata.distributions(name=name)
+    }
+    return digest(digest_of_modules(__name__), repr(sorted(found.items())))
 
 
 def missing_peers() -> dict[str, str]:
     """Filters that do not take part, and why."""
-    found = {"lasR PTD": "lasR has no package for this system in PyPI or Debian"}
+    found = {}
+    if not _has_lasr():
+        found["lasR PTD"] = "not installed: a package of R, in neither PyPI nor Debian 12"
     if not _installed("CSF"):
         found["CSF"] = "not installed: pip install cloth-simulation-filter"
     if not _installed("pdal"):
@@ -109,6 +162,13 @@ def _silent() -> Iterator[None]:
     finally:
         os.dup2(kept, 1)
         os.close(kept)
+
+
+@cache
+def _has_lasr() -> bool:
+    """Whether R and its package lasR are installed."""
+    program = "quit(status = !requireNamespace('lasR', quietly = TRUE))"
+    return shutil.which("Rscript") is not None and subprocess.call(["Rscript", "-e", program]) == 0
 
 
 def _installed(module: str) -> bool:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.benchmarks.kept import digest, digest_of_file, digest_of_modules
+
 VIRTUAL = 66
 """A producer's points that nobody measured: they are no part of a scene."""
 
@@ -39,6 +41,8 @@ class Cloud:
     truth : callable or None
         True height of the ground at x, y, metres, NaN where it is unknown; for scenes from (0, 0) to (side_m, side_m).
     side_m : float
+    pixel_m : float
+        Side of the pixels at which the terrain is compared with the truth.
     """
 
     xyz: np.ndarray
@@ -47,19 +51,28 @@ class Cloud:
     returns: np.ndarray | None = None
     truth: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     side_m: float = 0.0
+    pixel_m: float = 1.0
 
 
 @dataclass(frozen=True)
 class BenchScene:
     """A scene by name; `load` reads or makes it.
 
-    Scenes of a family are averaged, those of a group stand in one table.
+    Scenes of a family are averaged, those of a group stand in one table. What it is made of, files and a recipe, tells
+    whether it is the same as in an earlier run.
     """
 
     name: str
     family: str
     group: str
     load: Callable[[], Cloud]
+    with_truth: bool = True
+    recipe: str = ""
+    files: tuple[Path, ...] = ()
+
+    def key(self) -> str:
+        """A key of its points and its truth."""
+        return digest(self.name, self.recipe, *map(digest_of_file, self.files))
 
 
 def read_clouds(paths: Sequence[Path]) -> Cloud:
@@ -101,7 +114,7 @@ def real_scenes(data: Path) -> Iterator[BenchScene]:
     for family, name, paths in found:
         if paths and all(path.is_file() for path in paths):
             group = family if family == ISPRS_SAMPLES else OTHER_REAL
-            yield BenchScene(name, family, group, partial(read_clouds, paths))
+            yield BenchScene(name, family, group, partial(read_clouds, paths), False, files=tuple(paths))
 
 
 def semi_real_scenes(data: Path) -> Iterator[BenchScene]:
@@ -109,7 +122,8 @@ def semi_real_scenes(data: Path) -> Iterator[BenchScene]:
     for name in SEMI_REAL_SCENES:
         cloud, dtm = data / f"dim/semireal/{name}.laz", data / f"dim/semireal/{name}_dtm.tif"
         if cloud.is_file() and dtm.is_file():
-            yield BenchScene(name, SEMI_REAL, SEMI_REAL, partial(read_with_dtm, cloud, dtm))
+            load = partial(read_with_dtm, cloud, dtm)
+            yield BenchScene(name, SEMI_REAL, SEMI_REAL, load, files=(cloud, dtm))
 
 
 def read_with_dtm(cloud: Path, dtm: Path) -> Cloud:
@@ -123,7 +137,7 @@ def read_with_dtm(cloud: Path, dtm: Path) -> Cloud:
     truth = partial(bilinear, heights, pixel_m)
     side_m = max(bounds.right - bounds.left, bounds.top - bounds.bottom)
     xyz = found.xyz - (bounds.left, bounds.bottom, 0.0)
-    return replace(found, xyz=xyz, truth=truth, side_m=side_m)
+    return replace(found, xyz=xyz, truth=truth, side_m=side_m, pixel_m=pixel_m)
 
 
 def bilinear(heights: np.ndarray, pixel_m: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -140,12 +154,13 @@ def bilinear(heights: np.ndarray, pixel_m: float, x: np.ndarray, y: np.ndarray) 
 
 def simulated_scenes() -> Iterator[BenchScene]:
     """The scenes of the simulator's catalogue."""
-    from tiler.simulate.catalogue import SCENES
+    from tiler.simulate.catalogue import SCENES, SENSORS
+    from tiler.simulate.sites import SITES
 
+    sources = digest_of_modules(*(maker.__module__ for maker in (*SENSORS.values(), *SITES.values())))
     for name, spec in SCENES.items():
-        yield BenchScene(
-            name, f"simulated {spec.scene_class}", SIMULATED[spec.kind], partial(simulated, name)
-        )
+        family, load = f"simulated {spec.scene_class}", partial(simulated, name)
+        yield BenchScene(name, family, SIMULATED[spec.kind], load, recipe=f"{spec} {sources}")
 
 
 def simulated(name: str) -> Cloud:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from statistics import mean, median
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ from tests.benchmarks.scorecard_scenes import SEMI_REAL
 
 if TYPE_CHECKING:
     from tests.benchmarks.leave_one_out import LeaveOneOut
-    from tests.benchmarks.scorecard import Cell
+    from tests.benchmarks.measuring import Cell
 
 HEAD = """# Scorecard
 
@@ -22,14 +22,23 @@ of all points. Kappa: Cohen's. All in percent.
 
 Made by `python tests/benchmarks/scorecard.py docs/scorecard.md`: one pinned core, kernels compiled, CPU time of the
 fastest of {repeats} runs from points in memory to labels in memory; memory is what a run took above its input at its
-peak.
+peak. DTMs are the linear TIN of what was labelled ground, with no smoothing: what `tiler run` grids of matched clouds
+is better ([benchmarks](benchmarks.md#image-matching-beside-other-programs)).
+
+`floor` is no filter but a limit, from the truth: the errors that are left where ground is all that lies nearer to the
+true terrain than one height, the best one for the scene; and the DTM of the true ground points. In simulated matched
+scenes most of it are plants of 0.15 to 0.4 m that cover whole patches: the matched surface shows their tops, and the
+simulator calls them objects.
 """
 
 
 ERRORS = "Type I / type II / total / kappa"
 
 
-def markdown(cells: Sequence[Cell], reference: str, repeats: int, chosen: LeaveOneOut | None = None) -> str:
+def markdown(
+    cells: Sequence[Cell], reference: str, repeats: int, chosen: Mapping[str, LeaveOneOut] | None = None,
+    missing: Mapping[str, str] | None = None,
+) -> str:  # fmt: skip
     """The whole document.
 
     Parameters
@@ -39,19 +48,24 @@ def markdown(cells: Sequence[Cell], reference: str, repeats: int, chosen: LeaveO
         The method whose time the others' are compared with.
     repeats : int
         Timed runs of each.
-    chosen : LeaveOneOut, optional
-        `auto` chosen on all samples but one.
+    chosen : mapping of LeaveOneOut, optional
+        `auto` chosen on all scenes of a family but one, by family.
+    missing : mapping, optional
+        Peers that took no part, and why.
     """
     families = list(dict.fromkeys(cell.family for cell in cells))
     parts = [HEAD.format(repeats=repeats), "## Means over the scenes of a class\n", _means(cells, families)]
     for group in dict.fromkeys(cell.group for cell in cells):
         parts += [f"## {_capital(group)}\n", _scenes([c for c in cells if c.group == group])]
     parts += ["## Speed and memory\n", _speed(cells, reference)]
-    if chosen is not None:
-        parts += ["## `auto`, chosen on all ISPRS samples but one\n", chosen_without(chosen)]
+    for family, found in (chosen or {}).items():
+        parts += [f"## `auto`, chosen on all but one: {family}\n", chosen_without(found)]
     refusals = {(c.method, c.refusal): c for c in cells if c.refusal is not None}
     if refusals:
         parts += ["## What refused, and why\n", _refusals(cells)]
+    if missing:
+        absent = "".join(f"- {name}: {why}\n" for name, why in missing.items())
+        parts += ["## Other programs that took no part\n", absent]
     parts += ["## Published figures\n", _published()]
     return "\n".join(parts)
 
@@ -135,7 +149,7 @@ def _scenes(cells: Sequence[Cell]) -> str:
         of = "" if first.family == first.group else f" ({first.family.removeprefix('simulated ')})"
         rows.append([f"{scene}{of}, {first.points:,} points", *(_cell(own.get(m)) for m in methods)])
     known = any(cell.dtm_rmse_m is not None for cell in cells)
-    note = ERRORS + (", RMSE of the DTM at 1 m" if known else "") + ".\n\n"
+    note = ERRORS + (", RMSE of the DTM at pixels of 1 m (0.5 m: semi-real)" if known else "") + ".\n\n"
     return note + table(["scene", *methods], rows)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from ptd.methods.auto.method import Auto
-from tests.benchmarks import leave_one_out, scorecard
+from tests.benchmarks import kept, leave_one_out, measuring, scorecard
+from tests.benchmarks.kept import Kept
 from tests.benchmarks.published import PER_SAMPLE
 from tests.benchmarks.scorecard_scenes import BenchScene, Cloud, read_clouds
 from tests.benchmarks.scorecard_text import markdown, table
@@ -39,7 +40,7 @@ def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
         return np.ones(len(cloud.xyz), bool)
 
     own = scorecard.all_filters()["classic"]
-    filters = {"classic": own, "all": everything, "picky": refuses}
+    filters = {"classic": own, "all": scorecard.Entry(everything, ""), "picky": scorecard.Entry(refuses, "")}
     monkeypatch.setattr(scorecard, "all_filters", lambda: filters)
     monkeypatch.setattr("os.sched_setaffinity", lambda *_: None, raising=False)
     arguments = [str(tmp_path / "card.md"), "--json", str(tmp_path / "card.json"), "--repeats", "1"]
@@ -67,38 +68,52 @@ def test_two_tiny_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert "28.21" in text  # published
 
 
-def test_what_an_earlier_run_measured_stands_beside_what_is_measured_now() -> None:
-    old = [
-        scorecard.Cell(method, scene, "tiny", "simulated things", 9, total=0.5)
-        for scene in ("again", "house")
-        for method in ("rarefy", "classic")
-    ]
-    new = [scorecard.Cell("rarefy", "house", "tiny", "simulated things", 9, total=0.25)]
-    both = scorecard.with_kept(new, old)
-    assert [(c.scene, c.method, c.total) for c in both] == [
-        ("again", "classic", 0.5), ("again", "rarefy", 0.5), ("house", "classic", 0.5), ("house", "rarefy", 0.25),
-    ]  # fmt: skip
-    text = markdown(both[1:], "classic", 1)
-    assert "| again (tiny), 9 points | - / - / 50.00 / - | - |" in text
-    assert "| tiny (2) | - / - / **37.50** / - | - |" in text  # no mean of one scene beside one of two
+def test_what_was_measured_is_measured_again_only_where_its_sources_changed(tmp_path: Path) -> None:
+    asked: list[str] = []
+
+    def entry(name: str, key: str) -> scorecard.Entry:
+        def run(cloud: Cloud) -> np.ndarray:
+            asked.append(name)
+            return np.ones(len(cloud.xyz), bool)
+
+        return scorecard.Entry(run, key)
+
+    def card(scenes: list[BenchScene], **keys: str) -> list[measuring.Cell]:
+        asked.clear()
+        filters = {name: entry(name, key) for name, key in keys.items()}
+        return scorecard.run_all(scenes, filters, 0, lambda line: None, Kept(tmp_path / "kept"))
+
+    first = card(SCENES[:1], a="1", b="1")
+    assert asked == ["a", "b"]
+    assert card(SCENES[:1], a="1", b="1") == first
+    assert asked == []
+    assert card(SCENES, a="1", b="2")[0] == first[0]
+    assert asked == ["b", "a", "b"]
 
 
-def test_each_sample_is_scored_with_what_is_best_on_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_module_changes_with_what_it_imports_but_not_with_other_methods() -> None:
+    found = {path.relative_to(kept.ROOT).as_posix() for path in kept.sources_of("ptd.methods.auto.method")}
+    assert {
+        "ptd/methods/auto/method.py", "ptd/matched/passes.py", "ptd/kernel.py", "ptd/tin/mesh.py"
+    } <= found  # fmt: skip
+    assert not any("dong" in path for path in found)
+
+
+def test_each_sample_is_scored_with_what_is_best_on_the_others() -> None:
     errors = {("a", 1): 0.3, ("a", 2): 0.0, ("b", 1): 0.1, ("b", 2): 0.2, ("c", 1): 0.1, ("c", 2): 0.1}
-    monkeypatch.setattr(
-        leave_one_out, "total_error", lambda cloud, settings: errors[cloud, settings["rounds"] // 4]
+    found = leave_one_out.leave_one_out(
+        "abc", {"rounds": (8, 4)}, None, lambda name, settings: errors[name, settings["rounds"] // 4]
     )
-    clouds = {name: name for name in "abc"}
-    found = leave_one_out.leave_one_out(clouds, {"rounds": (8, 4)})  # type: ignore[arg-type]
     assert [(f.sample, f.settings, f.total, f.default) for f in found.folds] == [
         ("a", {}, 0.3, 0.3),  # 4 rounds are better on b and c
         ("b", {"rounds": 8}, 0.2, 0.1),
         ("c", {"rounds": 8}, 0.1, 0.1),
     ]
     assert found.best == pytest.approx(0.1)
-    text = markdown([], "classic", 1, found)
+    text = markdown([], "classic", 1, {"ISPRS samples": found}, {"PDAL": "not installed"})
     assert "20.00 against 16.67 with the default, +3.33 points" in text
     assert "| b | rounds 8 | 10.00 | 20.00 |" in text
+    assert "- PDAL: not installed" in text
 
 
 def test_the_default_is_in_the_middle_of_the_grid() -> None:

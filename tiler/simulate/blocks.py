@@ -189,7 +189,7 @@ def industry_block(plot: Plot) -> None:
 def bluff_block(plot: Plot) -> None:
     """A closed wood of 16 to 20 m where it is steep; elsewhere a meadow, a house here and there."""
     if plot.slope() > 0.2:
-        plot.wood(4.0, (16.0, 20.0), 0.1)
+        plot.wood(6.5, (16.0, 20.0), 0.5)
     elif plot.rng.random() < 0.15:
         plot.house(*plot.pick(8.0), float(plot.rng.uniform(0, 180)))
         plot.trees(1, 4)
