@@ -197,7 +197,7 @@ class Ground:
         above, residual = _heights_above(x, y, z, height, self.place, metre, unit)
         asked = np.abs(above) < CLEAR_M  # False where there is no surface
         voted = voting.votes(x, y, residual, asked, self.density_m2, self.sigma_m, self.scale)
-        return _classes(x, y, above, voted, sigma, narrowing, self.place, unit)
+        return _classes(x, y, above, voted, sigma, narrowing, self.place, unit, GROUND_M)
 
 
 class GroundModel(Model):
@@ -243,7 +243,8 @@ def _heights_above(
 
 @kernel
 def _classes(
-    x: Int32, y: Int32, above: Float64, voted: Int32, sigma: Float64, narrowing: Float64, place: Place, unit: float
+    x: Int32, y: Int32, above: Float64, voted: Int32, sigma: Float64, narrowing: Float64, place: Place, unit: float,
+    ground_m: float,
 ) -> UInt8:  # fmt: skip
     """ASPRS classes of points from their heights above the surface, and from what their neighbours voted near it."""
     classes = np.full(x.size, UNCLASSIFIED, np.uint8)
@@ -256,7 +257,7 @@ def _classes(
         if height < -(LOW_M + LOW_SIGMAS * noise):
             classes[k] = LOW_NOISE
         elif near:
-            band = (GROUND_M + GROUND_SIGMAS * noise) * _between(narrowing, wide(x[k]), wide(y[k]), place)
+            band = (ground_m + GROUND_SIGMAS * noise) * _between(narrowing, wide(x[k]), wide(y[k]), place)
             if abs(height) < band:
                 classes[k] = GROUND
     return classes
