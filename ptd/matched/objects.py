@@ -12,9 +12,10 @@ import numpy as np
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
+from ptd.ground.connected import connected_surfaces
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
-from ptd.matched.cells import CELL_M, EMPTY
+from ptd.matched.cells import CELL_M
 from ptd.matched.hull import BLOCK, ROOFS_TILT_BLOCKS, tilts
 
 STEP_M, STEP_SIGMAS = 0.5, 3.0
@@ -40,51 +41,6 @@ ON_HULL_M, ON_HULL_SHARE = 50.0, 0.5
 """And what is wider than this, falls as little, and lies near the hull by this share: the ground of a small survey."""
 INSIDE_SHARE = 0.5
 """A surface of any size is judged if so much of its rim is that of objects found before: equipment on a roof."""
-
-
-@kernel
-def _surfaces(heights: Int32, step: float, north: Int64, east: Int64) -> tuple[Int32, int]:
-    """The surface of each cell by number, -1 where it is empty, and how many there are.
-
-    Heights are compared as they are, and without the slope of the terrain at large.
-    """
-    rows, columns = heights.shape
-    surface = np.full((rows, columns), -1, np.int32)
-    waiting = np.empty(rows * columns, np.int64)
-    n = 0
-    for start in range(rows * columns):
-        if (
-            surface[start // columns, start % columns] >= 0
-            or heights[start // columns, start % columns] == EMPTY
-        ):
-            continue
-        surface[start // columns, start % columns] = n
-        waiting[0], left = start, 1
-        while left:
-            left -= 1
-            row, column = waiting[left] // columns, waiting[left] % columns
-            for dr in range(-1, 2):
-                for dc in range(-1, 2):
-                    r, c = row + dr, column + dc
-                    if (
-                        r < 0
-                        or c < 0
-                        or r >= rows
-                        or c >= columns
-                        or heights[r, c] == EMPTY
-                        or surface[r, c] >= 0
-                    ):
-                        continue
-                    limit = step if dr == 0 or dc == 0 else DIAGONAL * step
-                    rise = np.int64(heights[r, c]) - heights[row, column]
-                    tilt = dr * (north[r // BLOCK, c // BLOCK] + north[row // BLOCK, column // BLOCK])
-                    tilt += dc * (east[r // BLOCK, c // BLOCK] + east[row // BLOCK, column // BLOCK])
-                    if abs(rise) < limit or abs(rise - tilt / 2) < limit:
-                        surface[r, c] = n
-                        waiting[left] = r * columns + c
-                        left += 1
-        n += 1
-    return surface, n
 
 
 @kernel
@@ -157,7 +113,8 @@ def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Sc
     objects, terrain : bool [rows, columns]
     """
     step = scale.counts_z(max(STEP_M, STEP_SIGMAS * sigma_m))
-    surface, n = _surfaces(heights, step, *tilts(heights, ROOFS_TILT_BLOCKS))
+    sloped = tilts(heights, ROOFS_TILT_BLOCKS)
+    surface, n = connected_surfaces(heights, step, DIAGONAL * step, tilts=sloped, block=BLOCK)
     near_counts, fall_counts = round(scale.counts_z(NEAR_M)), round(scale.counts_z(FALL_M))
     counts, box = _rims(heights, surface, n, hull, removed, near_counts, fall_counts)
     area, near, rim, falls, inside, cut = counts.T

@@ -82,6 +82,7 @@ import numpy as np
 
 from ptd.frame import Cells, Scale, Window
 from ptd.ground import roughness
+from ptd.ground.blocks import blocks
 from ptd.ground.certificates import Doubt
 from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
@@ -91,7 +92,7 @@ from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched import passes as matched
 from ptd.methods.auto import penetration
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
-from ptd.methods.auto.objects import Lowest, blocks
+from ptd.methods.auto.objects import Lowest
 from ptd.methods.auto.plateaus import on_plateaus
 from ptd.methods.auto.settings import RING_M, AutoParameters, Seen, decided, settings
 from ptd.passes import Int32, Measured, Method, Model, Pass, Points, State, UInt8

@@ -11,12 +11,11 @@ the surface after the last opening. Nothing farther than a fixed reach has a par
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ptd.cells import Int32, Int64
+from ptd.cells import Int32
 from ptd.frame import Cells, Scale
 from ptd.ground.morphology import (
     Bool,
@@ -25,9 +24,6 @@ from ptd.ground.morphology import (
     steepest_drops,
 )
 from ptd.ground.slopes import box_means, slopes
-
-BLOCK_CELLS = 2048
-"""Side of the blocks in which rasters are made, without what lies around them within reach."""
 
 
 @dataclass(frozen=True)
@@ -150,38 +146,3 @@ class Lowest:
         """Share of the chosen points among those of the cells around: float64 raster, 0 where there is none."""
         chosen = self.raster.lowest(which.astype(np.int32), np.ones(which.size, np.bool_))
         return np.nan_to_num(box_means(chosen, around))
-
-
-def blocks(x: Int32, y: Int32, cells: Cells, reach: int) -> Iterator[tuple[Int64, Bool]]:
-    """Points in blocks of `BLOCK_CELLS`, each with all points within ``reach`` cells of the block.
-
-    So no raster is larger than a block, however far apart the points are; what depends on nothing beyond the reach is
-    the same in any blocks.
-
-    Parameters
-    ----------
-    x, y : int32 [n]
-        Local counts, by rows of cells (as `ptd.cells.lowest_per_cell` gives them).
-    cells : Cells
-    reach : int
-
-    Yields
-    ------
-    index : int64 [m]
-    inner : bool [m]
-        Which of them belong to the block; each point to one.
-    """
-    if x.size == 0:
-        return
-    columns, rows = cells.places(x, y)
-    columns -= columns.min()
-    rows -= rows[0]
-    if columns.max() < BLOCK_CELLS + 2 * reach and rows[-1] < BLOCK_CELLS + 2 * reach:
-        yield np.arange(x.size), np.ones(x.size, np.bool_)
-        return
-    for south in range(0, int(rows[-1]) + 1, BLOCK_CELLS):
-        first, last = np.searchsorted(rows, (south - reach, south + BLOCK_CELLS + reach))
-        band, own_rows = columns[first:last], rows[first:last] // BLOCK_CELLS == south // BLOCK_CELLS
-        for west in np.unique(band[own_rows] // BLOCK_CELLS) * BLOCK_CELLS:
-            index = np.flatnonzero((band >= west - reach) & (band < west + BLOCK_CELLS + reach))
-            yield index + first, own_rows[index] & (band[index] // BLOCK_CELLS == west // BLOCK_CELLS)

@@ -14,6 +14,7 @@ terrain, as an embankment across a corridor is.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter
 
 from ptd.cells import Int32, Int64
+from ptd.ground.connected import connected_surfaces
 from ptd.ground.morphology import EMPTY, Bool, CellRaster
 from ptd.kernel import kernel
 
@@ -131,7 +133,8 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
     """
     removed = np.zeros(heights.shape, np.bool_) if removed is None else removed
     data = heights != EMPTY if data is None else data
-    surface, n = _surfaces(heights, rule.step, rule.gap)
+    limit = math.floor(rule.step) + 1  # heights are whole numbers
+    surface, n = connected_surfaces(heights, limit, limit, rule.gap)
     looks, box = _looks(heights, surface, removed, data, n, rule.view, rule.fall, rule.slope)
     seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
     unseen = looks[:, _UNSEEN] + border.sum(axis=1)
@@ -147,44 +150,6 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
     through = (opposite >= THROUGH).any(axis=1)
     found: Bool = np.append(above & (large | leans) & ends & ~through, False)[surface]  # -1: no surface
     return found
-
-
-@kernel
-def _surfaces(heights: Int32, step: float, gap: int) -> tuple[Int32, int]:
-    """The surface of each cell by number, -1 where it is empty, and how many there are."""
-    rows, columns = heights.shape
-    surface = np.full((rows, columns), -1, np.int32)
-    waiting = np.empty(rows * columns, np.int32)
-    n = 0
-    for start in range(rows * columns):
-        if (
-            surface[start // columns, start % columns] >= 0
-            or heights[start // columns, start % columns] == EMPTY
-        ):
-            continue
-        surface[start // columns, start % columns] = n
-        waiting[0], left = start, 1
-        while left:
-            left -= 1
-            row, column = waiting[left] // columns, waiting[left] % columns
-            for way in range(8):
-                for steps in range(1, gap + 1):
-                    r, c = row + steps * _NORTH[way], column + steps * _EAST[way]
-                    if r < 0 or c < 0 or r >= rows or c >= columns:
-                        break
-                    if heights[r, c] == EMPTY:
-                        continue
-                    # In 64 bits: heights of opposite ends of int32 differ by more than it holds.
-                    if (
-                        surface[r, c] < 0
-                        and abs(np.int64(heights[r, c]) - np.int64(heights[row, column])) <= step
-                    ):
-                        surface[r, c] = n
-                        waiting[left] = r * columns + c
-                        left += 1
-                    break
-        n += 1
-    return surface, n
 
 
 @kernel

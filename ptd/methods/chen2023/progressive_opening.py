@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from ptd.cells import Int32
 from ptd.frame import Cells, Window
-from ptd.ground.morphology import EMPTY, CellRaster
+from ptd.ground.blocks import blocks
+from ptd.ground.morphology import EMPTY
 from ptd.methods.chen2023.minimum_grid import fill_empty
 
 Bool = npt.NDArray[np.bool_]
@@ -199,18 +200,23 @@ def potential_seeds(
     seeds, unsure = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
     if not x.size:
         return seeds, unsure
-    raster = CellRaster(x, y, cells)
-    col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-    rows, columns = np.divmod(raster.keys, raster.shape[1])
-    for (r0, r1, c0, c1), own, near in _blocks(rows, columns, raster.shape, 2 * opening.reach):
-        rim = 2 * opening.reach
-        shape = r1 - r0 + 2 * rim, c1 - c0 + 2 * rim
-        heights = np.full(shape, EMPTY, np.int32)
+    columns, rows = cells.places(x, y)
+    rim, order = 2 * opening.reach, np.argsort(rows, kind="stable")
+    for part, inner in blocks(x[order], y[order], cells, rim, BLOCK_CELLS):
+        near = order[part]
+        own = near[inner]
+        row, column = rows[own].min() - rim, columns[own].min() - rim
+        heights = np.full(
+            (np.ptp(rows[own]) + 1 + 2 * rim, np.ptp(columns[own]) + 1 + 2 * rim), EMPTY, np.int32
+        )
         taken = near[eligible[near]]
-        heights[rows[taken] - r0 + rim, columns[taken] - c0 + rim] = z[taken]
-        inside = _known_cells(cells, known, row0 + r0 - rim, col0 + c0 - rim, shape)
+        within = (rows[taken] - row < heights.shape[0]) & (columns[taken] - column < heights.shape[1])
+        within &= (rows[taken] >= row) & (columns[taken] >= column)
+        taken = taken[within]
+        heights[rows[taken] - row, columns[taken] - column] = z[taken]
+        inside = _known_cells(cells, known, int(row), int(column), heights.shape)
         objects, doubtful = object_cells(heights, opening, inside)
-        place = rows[own] - r0, columns[own] - c0
+        place = rows[own] - row - rim, columns[own] - column - rim
         seeds[own], unsure[own] = eligible[own] & ~objects[place], doubtful[place]
     return seeds, unsure
 
@@ -224,28 +230,3 @@ def _known_cells(cells: Cells, known: Window, row: int, column: int, shape: tupl
     in_rows = (souths[:-1] >= known.south) & (souths[1:] <= known.north)
     in_columns = (wests[:-1] >= known.west) & (wests[1:] <= known.east)
     return np.outer(in_rows, in_columns)
-
-
-Block = tuple[int, int, int, int]
-
-
-def _blocks(
-    rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64], shape: tuple[int, int], rim: int
-) -> Iterator[tuple[Block, npt.NDArray[np.int64], npt.NDArray[np.int64]]]:
-    """Blocks of cells that hold points: first and end row and column, their points, and those up to `rim` away."""
-    side = max(BLOCK_CELLS, rim)
-    wide = -(-shape[1] // side) + 2  # an empty block at both ends, so that no neighbour is another row's
-    block = (rows // side + 1) * wide + columns // side + 1
-    order = np.argsort(block, kind="stable")
-    numbers, starts = np.unique(block[order], return_index=True)
-    ends = np.append(starts[1:], order.size)
-    members = {int(b): order[s:e] for b, s, e in zip(numbers, starts, ends, strict=True)}
-    for number, own in members.items():
-        r0, c0 = (number // wide - 1) * side, (number % wide - 1) * side
-        r1, c1 = min(r0 + side, shape[0]), min(c0 + side, shape[1])
-        around = [members[number + dr * wide + dc] for dr in (-1, 0, 1) for dc in (-1, 0, 1)
-                  if number + dr * wide + dc in members]  # fmt: skip
-        near = np.concatenate(around)
-        r, c = rows[near], columns[near]
-        keep = (r >= r0 - rim) & (r < r1 + rim) & (c >= c0 - rim) & (c < c1 + rim)
-        yield (r0, r1, c0, c1), own, near[keep]

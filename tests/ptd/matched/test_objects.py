@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ptd.frame import Scale
+from ptd.ground.connected import connected_surfaces
 from ptd.matched.cells import EMPTY
-from ptd.matched.hull import ROOFS_TILT_BLOCKS, hull_below, tilts
-from ptd.matched.objects import WIDEST_M, _surfaces, judged
+from ptd.matched.hull import BLOCK, ROOFS_TILT_BLOCKS, hull_below, tilts
+from ptd.matched.objects import DIAGONAL, WIDEST_M, judged
 from ptd.matched.surface import STIFF
 
 MM = Scale()
@@ -112,23 +113,10 @@ def test_a_platform_that_leans_on_a_hall_goes_after_it() -> None:
 def test_a_slope_is_one_surface(slope: float) -> None:
     row, column = np.mgrid[:140, :140]
     heights = np.rint(1000 * (slope * row + 0.1 * column)).astype(np.int32)
-    surface, _ = _surfaces(heights, 500.0, *tilts(heights, ROOFS_TILT_BLOCKS))
+    sloped = tilts(heights, ROOFS_TILT_BLOCKS)
+    surface, _ = connected_surfaces(heights, 500.0, DIAGONAL * 500.0, tilts=sloped, block=BLOCK)
     inner = surface[24:-24, 24:-24]
     assert (inner == inner[0, 0]).all()
-
-
-def test_surfaces_are_connected_cells_of_like_heights() -> None:
-    """Steps of 0.6 m part neighbours, of 0.4 m not; across corners 0.6 m does not either."""
-    z = np.full((16, 16), EMPTY, np.int32)
-    z[2, 2:5] = 0, 400, 1000
-    z[3, 5] = 1600
-    z[10, 10] = 0
-    flat = np.zeros((2, 2), np.int64)
-    surface, n = _surfaces(z, 500.0, flat, flat)
-    assert n == 3
-    assert surface[2, 2] == surface[2, 3] != surface[2, 4] == surface[3, 5]
-    assert surface[10, 10] not in (surface[2, 2], surface[2, 4], -1)
-    assert np.array_equal(surface == -1, z == EMPTY)
 
 
 def test_noise_widens_the_step() -> None:

@@ -12,8 +12,8 @@ import pytest
 
 import ptd
 from ptd.frame import Window
+from ptd.ground import blocks
 from ptd.ground.roughness import Roughness
-from ptd.methods.auto import objects
 from ptd.methods.auto.method import DENSIFIED, OBJECT, SEED, Auto, refined
 from ptd.methods.auto.settings import Seen, decided, settings
 from ptd.passes import Points
@@ -268,7 +268,7 @@ def test_the_order_of_the_points_changes_nothing() -> None:
 def test_blocks_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud = Points(SCENES["voids"](np.random.default_rng(2)))
     truth, _, _ = classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")
-    monkeypatch.setattr(objects, "BLOCK_CELLS", 16)
+    monkeypatch.setattr(blocks, "SIDE_CELLS", 16)
     assert np.array_equal(classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")[0], truth)
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import Cells, Scale
-from ptd.methods.auto import objects
-from ptd.methods.auto.objects import Drop, Lowest, Residuals, Shape, blocks
+from ptd.methods.auto.objects import Drop, Lowest, Residuals, Shape
 
 SCALE, CELLS = Scale(), Cells.of(1.0, Scale())
 SEEDS = Drop(0.1, 0.06, 0.2)
@@ -137,35 +136,3 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int) -> None:
             found = cut.residual_objects(chosen, np.ones(chosen.size, bool), rule)
         found = found.reshape(heights[part].shape)
         assert np.array_equal(found[inner], expected[25:36, 20:31])
-
-
-def test_blocks_hold_each_point_once_and_all_within_reach(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(objects, "BLOCK_CELLS", 16)
-    heights, _ = rough(1, 50)
-    low = lowest(heights)
-    every = np.ones(heights.size, bool)
-    shape = Shape(radius=2, slope=2)
-    rows, columns = np.indices(heights.shape).reshape(2, -1)
-    x, y = (1000 * columns).astype(np.int32), (1000 * rows).astype(np.int32)
-    keep = np.flatnonzero((columns < 10) | (columns > 37))  # a gap that holds a whole block
-    whole = Lowest(x[keep], y[keep], low.z[keep], CELLS, 1.0, SCALE)
-    expected = whole.steep_objects(every[keep], SEEDS, shape)
-    found, times = np.zeros(keep.size, bool), np.zeros(keep.size, int)
-    parts = 0
-    for index, inner in blocks(x[keep], y[keep], CELLS, shape.reach):
-        part = keep[index]
-        one = Lowest(x[part], y[part], low.z[part], CELLS, 1.0, SCALE)
-        rises = one.steep_objects(np.ones(part.size, bool), SEEDS, shape)
-        found[index[inner]] = rises[inner]
-        times[index[inner]] += 1
-        assert one.raster.shape[0] <= 16 + 2 * shape.reach
-        parts += 1
-    assert parts == 12  # of 4 x 4, a column of blocks is empty
-    assert (times == 1).all()
-    assert np.array_equal(found, expected)
-
-
-def test_points_far_apart_take_no_raster_between_them() -> None:
-    x = np.array([0, 2_000_000_000], np.int32)
-    assert [index.tolist() for index, _ in blocks(x, np.zeros(2, np.int32), CELLS, 50)] == [[0], [1]]
-    assert list(blocks(x[:0], x[:0], CELLS, 50)) == []
