@@ -6,9 +6,8 @@ Before them, for the plan: `find_inputs`, `inspect` (several files at a time), `
 """
 
 from tiler.ingest.assemble import assemble_buckets
-from tiler.ingest.common_crs import Agreement, agree
 from tiler.ingest.extent import FAR
-from tiler.ingest.georeference import Georeference, same_horizontal, split
+from tiler.ingest.georeference import Agreement, Georeference, agree
 from tiler.ingest.patches import Patch
 from tiler.ingest.requantise import bounds_in_counts
 from tiler.ingest.search import find_inputs
@@ -41,7 +40,5 @@ __all__ = [
     "inspect_guarded",
     "pieces",
     "read_guarded",
-    "same_horizontal",
-    "split",
     "spool_piece",
 ]

@@ -124,8 +124,10 @@ def appearing(target: Path) -> Iterator[Path]:
 
 
 def is_scratch(name: str) -> bool:
-    """Whether a name is one that `partial_path` makes, or that GDAL makes of it while it writes."""
-    return name.startswith(SCRATCH_PREFIX) and (name.endswith(".partial") or ".partial." in name)
+    """Whether a name is one that `partial_path` makes, or that GDAL and SQLite make of it while they write."""
+    return name.startswith(SCRATCH_PREFIX) and (
+        name.endswith(".partial") or ".partial." in name or ".partial-" in name
+    )
 
 
 @contextmanager

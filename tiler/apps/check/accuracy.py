@@ -109,7 +109,7 @@ def _in_crs_of(
     from pyproj import CRS, Transformer
     from pyproj.exceptions import ProjError
 
-    from tiler.ingest.georeference import same_horizontal, split
+    from tiler.core.crs import same_horizontal, split
 
     text = options.crs or points.crs
     x, y = points.xy

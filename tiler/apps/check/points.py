@@ -1,28 +1,53 @@
-"""Checkpoints from CSV, GeoJSON and GeoPackage files."""
+"""Checkpoints from CSV files and from vector files."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from tiler.apps.check.checkpoint_row import Row, row_of
-from tiler.apps.check.vector import geojson_rows, geopackage_rows
+from tiler.config.parsing import FARTHEST
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt
+from tiler.io.vector import POINTS, Feature, Kind, read_features
 
 NVA, VVA = "NVA", "VVA"
 """Non-vegetated and vegetated vertical accuracy."""
 
+_COLUMNS = {
+    "x": ("x", "e", "east", "easting", "lon", "longitude", "long"),
+    "y": ("y", "n", "north", "northing", "lat", "latitude"),
+    "z": ("z", "h", "height", "elevation", "elev", "ele", "altitude"),
+    "kind": ("type", "nva_vva", "nva/vva", "accuracy"),
+    "cover": ("cover", "land_cover", "landcover", "land cover", "surface", "class"),
+    "name": ("id", "name", "point", "pt", "fid", "label"),
+}
+"""Names of columns, in lower case."""
+
 _ORDER = ("x", "y", "z", "type", "cover")
 """Order of the columns of a CSV file without a heading."""
 
+CHECKPOINTS = Kind("checkpoints", POINTS.types)
+
 Floats = npt.NDArray[np.float64]
+
+
+class Row(NamedTuple):
+    """One checkpoint as its file has it."""
+
+    x: float
+    y: float
+    z: float
+    kind: str
+    cover: str
+    name: str
 
 
 @dataclass(frozen=True)
@@ -83,8 +108,7 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     path : path
         ``.csv`` or ``.txt``: comma, semicolon or tab between columns x, y, z and, if wanted, type (NVA or VVA), land
         cover, id, found by their heading or, without one, by this order; lines that begin with # are skipped.
-        ``.geojson``, ``.json``: features that are points, heights in the geometry or a property. ``.gpkg``: the
-        one layer of points.
+        ``.geojson``, ``.gpkg``, ``.shp``, ``.fgb``: the one layer of points, heights in the geometry or a column.
 
     Raises
     ------
@@ -99,15 +123,10 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     notes: list[str] = []
     if suffix in (".csv", ".txt"):
         rows = list(_csv_rows(path))
-    elif suffix in (".geojson", ".json"):
-        rows, crs = geojson_rows(path)
-    elif suffix == ".gpkg":
-        rows, crs = geopackage_rows(path)
     else:
-        raise InputError(
-            f"{path}: checkpoints are read from .csv, .txt, .geojson, .json and .gpkg files; "
-            "convert it, for example with `ogr2ogr points.gpkg FILE`"
-        )
+        found = read_features(path, CHECKPOINTS)
+        rows, crs = [_row_of(feature) for feature in found.features], found.crs
+        notes += found.notes
     if not rows:
         raise InputError(f"{path}: holds no checkpoint")
     kinds = tuple(_kind(path, row.kind) for row in rows)
@@ -122,6 +141,41 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
         crs,
         tuple(notes),
     )
+
+
+def _row_of(feature: Feature) -> Row:
+    """A row from a point; its third coordinate is the height, else an attribute is."""
+    import shapely
+
+    has_z = bool(feature.geometry.has_z)
+    place = shapely.get_coordinates(feature.geometry, include_z=has_z)[0].tolist()
+    return row_of(feature.attributes | dict(zip(("x", "y", "z"), place, strict=False)), feature.place)
+
+
+def row_of(values: Mapping[str, Any], place: str) -> Row:
+    """A row from named values; raises InputError where x, y or z is no finite number."""
+    found = {wanted: _value(values, names) for wanted, names in _COLUMNS.items()}
+    numbers = []
+    for axis in ("x", "y", "z"):
+        text = found[axis]
+        try:
+            number = float(text if text is not None else "")
+        except (TypeError, ValueError, OverflowError):
+            number = math.nan
+        if not math.isfinite(number):
+            what = "is missing" if text is None else f"{excerpt(text)} is no number (1234.5, with a point)"
+            raise InputError(f"{place}: {axis} {what}")
+        if abs(number) >= FARTHEST:
+            raise InputError(
+                f"{place}: {axis} {excerpt(text)} is farther than {FARTHEST:g}, where nothing lies"
+            )
+        numbers.append(number)
+    kind, cover, name = ("" if (v := found[k]) is None else str(v).strip() for k in ("kind", "cover", "name"))
+    return Row(numbers[0], numbers[1], numbers[2], kind, cover, name)
+
+
+def _value(values: Mapping[str, Any], names: Sequence[str]) -> Any:
+    return next((values[name] for name in names if values.get(name) is not None), None)
 
 
 def _kind(path: Path, text: str) -> str:

@@ -177,7 +177,7 @@ def _check_places(dtm: Path, mine: Any, truth: Path, true: Any) -> None:
     """Refuse rasters that say that they are of different CRS or units."""
     from pyproj import CRS
 
-    from tiler.ingest.georeference import same_horizontal, split
+    from tiler.core.crs import same_horizontal, split
 
     if mine.crs and true.crs:
         ours, theirs = (CRS.from_wkt(raster.crs.to_wkt()) for raster in (mine, true))

@@ -2,40 +2,43 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import random
 import sqlite3
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pyproj
 import pytest
+import shapely
 
 from tests.tiler.apps.check.rasters import tilted, write_surface
+from tests.tiler.io.vector.files import write
 from tests.tiler.junk import spoilt
 from tiler.apps.check import PointOptions, check_dtm, read_checkpoints
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
-from tiler.io.vector import read_polygons
+from tiler.io.vector import POLYGONS, read_features
 from tiler.plan.area import area_of
+from tiler.schedule import Died, Guard
 
 Read = Callable[[Path], Any]
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0]]
-GEOMETRIES: dict[Read, tuple[dict[str, Any], bytes, str]] = {
+
+
+def read_polygons(path: Path) -> Any:
+    return read_features(path, POLYGONS)
+
+
+GEOMETRIES: dict[Read, tuple[dict[str, Any], Any, str]] = {
     read_polygons: (
-        {"type": "MultiPolygon", "coordinates": [[SQUARE]]},
-        struct.pack("<BIII8d", 1, 3, 1, 4, *(v for place in SQUARE for v in place)),
-        "POLYGON",
+        {"type": "MultiPolygon", "coordinates": [[SQUARE]]}, shapely.Polygon(SQUARE), "Polygon"
     ),
-    read_checkpoints: (
-        {"type": "Point", "coordinates": [0, 0, 5]},
-        struct.pack("<BI3d", 1, 1001, 1, 2, 3),
-        "POINT",
-    ),
-}
+    read_checkpoints: ({"type": "Point", "coordinates": [0, 0, 5]}, shapely.Point(1, 2, 3), "Point Z"),
+}  # fmt: skip
 readers = pytest.mark.parametrize("read", GEOMETRIES, ids=lambda read: read.__name__)
 
 
@@ -78,27 +81,20 @@ def test_geojson_that_is_none(read: Read, content: str, tmp_path: Path) -> None:
     assert one_line_at_most(read, path)
 
 
-def geopackage(path: Path, kind: str, blob: Any, *changes: str) -> Path:
-    path.unlink(missing_ok=True)
+@pytest.fixture
+def package(read: Read, tmp_path: Path) -> Path:
+    _, geometry, kind = GEOMETRIES[read]
+    return write(tmp_path / "a.gpkg", [geometry], kind, columns={"z": [1.5], "type": ["NVA"]})
+
+
+def change(path: Path, *changes: tuple[str, tuple[Any, ...]]) -> None:
     base = sqlite3.connect(path)
-    base.executescript(
-        "PRAGMA synchronous = OFF;"
-        "CREATE TABLE gpkg_geometry_columns (table_name, column_name, geometry_type_name, srs_id);"
-        "CREATE TABLE gpkg_spatial_ref_sys (srs_id, organization, organization_coordsys_id, definition);"
-        "INSERT INTO gpkg_spatial_ref_sys VALUES (25832, 'EPSG', 25832, 'PROJCS[]');"
-        f"INSERT INTO gpkg_geometry_columns VALUES ('t', 'geom', '{kind}', 25832);"
-        "CREATE TABLE t (id INTEGER, z REAL, type TEXT, geom BLOB)"
-    )
-    base.execute("INSERT INTO t (id, geom) VALUES (1, ?)", (blob,))
-    for change in changes:
-        base.execute(change)
+    for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+        base.execute(f'DROP TRIGGER "{name}"')  # they need functions of GDAL
+    for statement, values in changes:
+        base.execute(statement, values)
     base.commit()
     base.close()
-    return path
-
-
-def blob_of(geometry: bytes) -> bytes:
-    return b"GP\0\1" + struct.pack("<i", 25832) + geometry
 
 
 COLUMNS, SYSTEMS = "UPDATE gpkg_geometry_columns SET ", "UPDATE gpkg_spatial_ref_sys SET "
@@ -106,58 +102,54 @@ COLUMNS, SYSTEMS = "UPDATE gpkg_geometry_columns SET ", "UPDATE gpkg_spatial_ref
 
 @readers
 @pytest.mark.parametrize(
-    ("change", "message"),
+    "statement",
     [
-        ("ALTER TABLE t RENAME COLUMN geom TO place", "layer t has no column 'geom', which should hold its"),
-        (f"{COLUMNS} column_name = NULL", "layer t has no column None"),
-        (f"{COLUMNS} column_name = x'ff'", r"layer t has no column b'\xff'"),
-        (f"{COLUMNS} column_name = 'GEOM'", ""),
-        (f"{COLUMNS} table_name = NULL", "no such table: None"),
-        (f"{COLUMNS} table_name = 5", "no such table: 5"),
-        (
-            f"{COLUMNS} table_name = 'gpkg_geometry_columns', column_name = 'srs_id'",
-            "has no GeoPackage geometry",
-        ),
-        (f"{COLUMNS} table_name = 'a\nb'", "no such table"),
-        ("DROP TABLE t", "no such table: t"),
-        ("DROP TABLE gpkg_spatial_ref_sys", "no such table: gpkg_spatial_ref_sys"),
-        ("ALTER TABLE gpkg_spatial_ref_sys RENAME COLUMN organization TO q", "no such column: organization"),
-        (f"{SYSTEMS} organization = cast(x'ff' AS TEXT)", ""),
-        ("UPDATE t SET type = cast(x'ff80' AS TEXT)", None),
-        ('ALTER TABLE t ADD COLUMN "x\ny"', ""),
+        "ALTER TABLE l0 RENAME COLUMN geom TO place",
+        f"{COLUMNS} column_name = x'ff'",
+        f"{COLUMNS} table_name = 'gpkg_geometry_columns', column_name = 'srs_id'",
+        "UPDATE gpkg_contents SET table_name = 'a\nb'",
+        "DROP TABLE l0",
+        "DROP TABLE gpkg_spatial_ref_sys",
+        "ALTER TABLE gpkg_spatial_ref_sys RENAME COLUMN organization TO q",
+        f"{SYSTEMS} organization = cast(x'ff' AS TEXT)",
+        f"{SYSTEMS} definition = 'PROJCS['",
+        "UPDATE l0 SET type = cast(x'ff80' AS TEXT)",
+        'ALTER TABLE l0 ADD COLUMN "x\ny"',
     ],
 )
-def test_geopackage_without_what_it_should_have(
-    read: Read, change: str, message: str | None, tmp_path: Path
-) -> None:
-    _, geometry, kind = GEOMETRIES[read]
-    said = one_line_at_most(read, geopackage(tmp_path / "a.gpkg", kind, blob_of(geometry), change))
-    if message is not None:
-        assert message in said
-        assert bool(message) == bool(said)
+def test_geopackage_without_what_it_should_have(read: Read, statement: str, package: Path) -> None:
+    with contextlib.suppress(sqlite3.Error):  # some SQLite checks its schema
+        change(package, ("PRAGMA foreign_keys = OFF", ()), (statement, ()))
+    one_line_at_most(read, package)
 
 
 @readers
-def test_geopackage_with_damaged_geometries(read: Read, tmp_path: Path) -> None:
-    _, geometry, kind = GEOMETRIES[read]
-    whole, path = blob_of(geometry), tmp_path / "a.gpkg"
+def test_geopackage_with_damaged_geometries(read: Read, package: Path) -> None:
+    base = sqlite3.connect(package)
+    (whole,) = base.execute("SELECT geom FROM l0").fetchone()
+    base.close()
     blobs: list[Any] = [None, b"", "text", 5, 1.5, *(whole[:n] for n in range(len(whole)))]
     for position in range(len(whole)):
         blobs += [whole[:position] + bytes([value]) + whole[position + 1 :] for value in (0, 3, 6, 127, 255)]
-    for blob in random.Random(1).sample(blobs, 100):
-        one_line_at_most(read, geopackage(path, kind, blob))
+    for blob in random.Random(1).sample(blobs, 20):
+        change(package, ("UPDATE l0 SET geom = ?", (blob,)))
+        one_line_at_most(read, package)
 
 
 @readers
-def test_geopackage_with_damaged_pages(read: Read, tmp_path: Path) -> None:
-    chance, path = random.Random(2), tmp_path / "a.gpkg"
-    whole = geopackage(path, GEOMETRIES[read][2], blob_of(GEOMETRIES[read][1])).read_bytes()
-    for _ in range(400):
-        data = bytearray(whole)
-        for _ in range(chance.randint(1, 6)):
-            data[chance.randrange(len(data))] = chance.randrange(256)
-        path.write_bytes(data)
-        one_line_at_most(read, path)
+def test_geopackage_with_damaged_pages(read: Read, package: Path) -> None:
+    """In a child, as commands read it: GDAL may crash, or loop."""
+    chance, whole = random.Random(2), package.read_bytes()
+    with Guard() as guard:
+        for _ in range(20):
+            data = bytearray(whole)
+            for _ in range(chance.randint(1, 6)):
+                data[chance.randrange(len(data))] = chance.randrange(256)
+            package.write_bytes(data)
+            said = ""
+            with contextlib.suppress(Died):
+                said = guard.call(one_line_at_most, read, package, seconds=20)
+            assert isinstance(said, str)
 
 
 def test_tables_with_damaged_lines(tmp_path: Path) -> None:
@@ -176,7 +168,13 @@ def test_tables_with_damaged_lines(tmp_path: Path) -> None:
 def write_feature(path: Path, geometry: dict[str, Any], crs: str) -> None:
     system = {"type": "name", "properties": {"name": crs}}
     path.write_text(
-        json.dumps({"type": "FeatureCollection", "features": [{"geometry": geometry}], "crs": system})
+        json.dumps(
+            {
+                "type": "FeatureCollection",
+                "features": [{"type": "Feature", "geometry": geometry}],
+                "crs": system,
+            }
+        )
     )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-import sqlite3
-import struct
 from pathlib import Path
 
+import pyproj
 import pytest
+import shapely
 
+from tests.tiler.io.vector.files import write
 from tiler.apps.check import read_checkpoints
 from tiler.errors import InputError
 
@@ -56,43 +57,23 @@ def test_geojson(tmp_path: Path) -> None:
     }
     points = read_checkpoints(text(tmp_path / "p.geojson", json.dumps(content)))
     assert (points.xy.tolist(), points.z.tolist()) == ([[9.0, 9.1], [48.0, 48.1]], [7.25, 8])
-    assert (points.kinds, points.names, points.crs) == (("VVA", "NVA"), ("t1", "2"), "EPSG:4326")
+    assert (points.kinds, points.names, points.crs) == (("VVA", "NVA"), ("t1", "2"), "EPSG:4979")
     content["crs"] = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}
-    assert (
-        read_checkpoints(text(tmp_path / "q.json", json.dumps(content))).crs == "urn:ogc:def:crs:EPSG::25832"
+    assert read_checkpoints(text(tmp_path / "q.json", json.dumps(content))).crs == "EPSG:25832"
+
+
+@pytest.mark.parametrize("suffix", [".gpkg", ".shp"])
+def test_geometries_of_other_formats(suffix: str, tmp_path: Path) -> None:
+    places = [shapely.Point(1, 2, 3), shapely.Point(4, 5, 6)]
+    points = read_checkpoints(
+        write(tmp_path / f"p{suffix}", places, "Point Z", columns={"cover": ["gravel"] * 2})
     )
-
-
-def geopackage(path: Path, blobs: list[bytes], layers: int = 1) -> Path:
-    """A GeoPackage as far as its points go (OGC 12-128r19)."""
-    with sqlite3.connect(path) as base:
-        base.executescript(
-            "CREATE TABLE gpkg_geometry_columns (table_name, column_name, geometry_type_name, srs_id, z, m);"
-            "CREATE TABLE gpkg_spatial_ref_sys (srs_name, srs_id, organization, organization_coordsys_id, definition);"
-            "INSERT INTO gpkg_spatial_ref_sys VALUES ('utm', 25832, 'EPSG', 25832, 'PROJCS[]');"
-        )
-        for layer in range(layers):
-            base.execute(
-                f"INSERT INTO gpkg_geometry_columns VALUES ('l{layer}', 'geom', 'POINT', 25832, 1, 0)"
-            )
-            base.execute(f"CREATE TABLE l{layer} (fid INTEGER PRIMARY KEY, geom BLOB, cover TEXT)")
-            base.executemany(
-                f"INSERT INTO l{layer} (geom, cover) VALUES (?, 'gravel')", [(b,) for b in blobs]
-            )
-    base.close()
-    return path
-
-
-def test_geopackage(tmp_path: Path) -> None:
-    plain = b"GP\0\1" + struct.pack("<iBI3d", 25832, 1, 1001, 1.0, 2.0, 3.0)
-    boxed = (
-        b"GP\0\2"
-        + struct.pack(">i4d", 25832, 4, 4, 5, 5)
-        + struct.pack(">BI3d", 0, 0x80000001, 4.0, 5.0, 6.0)
-    )
-    points = read_checkpoints(geopackage(tmp_path / "p.gpkg", [plain, boxed]))
     assert (points.xy.tolist(), points.z.tolist()) == ([[1, 4], [2, 5]], [3, 6])
-    assert (points.crs, points.covers, points.names) == ("EPSG:25832", ("gravel", "gravel"), ("1", "2"))
+    assert (points.covers, points.names) == (("gravel", "gravel"), ("1", "2"))
+    assert points.crs is not None
+    assert pyproj.CRS(points.crs).to_epsg() == 25832
+    flat = write(tmp_path / f"q{suffix}", [shapely.Point(1, 2)], "Point", columns={"Elev": [7.5]})
+    assert read_checkpoints(flat).z.tolist() == [7.5]
 
 
 @pytest.mark.parametrize(
@@ -105,16 +86,15 @@ def test_geopackage(tmp_path: Path) -> None:
         ("p.csv", "x,y,z,type\n1,2,3,forest\n", r"type 'forest' is neither NVA nor VVA; name land cover"),
         ("p.csv", "x,y,z\n", "holds no checkpoint"),
         ("p.csv", "", "holds no checkpoint"),
-        ("p.shp", "", r"convert it, for example with `ogr2ogr points.gpkg FILE`"),
+        ("p.shp", "", r"does not begin as a .shp file does"),
         ("p.geojson", "{", "not valid GeoJSON"),
         ("p.geojson", "[]", r"not valid GeoJSON \(holds no object\)"),
         ("p.geojson", "{}", "no GeoJSON FeatureCollection"),
         ("p.csv", "x,y,z,id\n1,2,3,'a'\n1,2,3,\"b\n4,5,6,c\n", "line 3: is no line of a table .unexpected end of data"),
         ("p.csv", f"x,y,z\n1,2,{'9' * 200_000}\n", "line 2: is no line of a table .field larger than field limit"),
         ("p.csv", f"x,y,z\n1,2,{'9' * 400}\n", r"line 2: z '9+\.\.\. is no number"),
-        ("p.geojson", '{"type": "FeatureCollection", "features": [{"geometry": {"type": "Polygon"}}]}',
-         "feature 1: is a 'Polygon', not a Point"),
-        ("p.gpkg", "no data base", "not a GeoPackage that can be read"),
+
+        ("p.gpkg", "no data base", "does not begin as a .gpkg file does"),
     ],
 )  # fmt: skip
 def test_what_is_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
@@ -123,15 +103,11 @@ def test_what_is_refused(tmp_path: Path, name: str, content: str, message: str) 
 
 
 def test_what_is_refused_of_a_geopackage(tmp_path: Path) -> None:
-    polygon = b"GP\0\1" + struct.pack("<iBI3d", 25832, 1, 1003, 1.0, 2.0, 3.0)
-    for name, blob, message in (
-        ("a", polygon, "no point"),
-        ("b", b"GP\0\1", "damaged"),
-        ("c", b"", "no GeoPackage"),
-    ):
-        with pytest.raises(InputError, match=message):
-            read_checkpoints(geopackage(tmp_path / f"{name}.gpkg", [blob]))
-    with pytest.raises(InputError, match=r"needs one layer of points, has 2 \(l0, l1\)"):
-        read_checkpoints(geopackage(tmp_path / "two.gpkg", [], layers=2))
+    square = write(tmp_path / "a.gpkg", [shapely.box(0, 0, 1, 1)])
+    with pytest.raises(InputError, match="l0, feature 1: is a Polygon; checkpoints are wanted"):
+        read_checkpoints(square)
+    write(square, [shapely.Point(1, 2, 3)], "Point Z", layer="l1")
+    with pytest.raises(InputError, match=r"needs one layer of checkpoints, has 2 \(l0 \(Unknown\), l1 \("):
+        read_checkpoints(square)
     with pytest.raises(InputError, match="no such file"):
         read_checkpoints(tmp_path / "absent.csv")

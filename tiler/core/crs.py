@@ -1,0 +1,29 @@
+"""Horizontal and vertical parts of a CRS, and whether two mean the same plane."""
+
+from __future__ import annotations
+
+from pyproj import CRS
+
+
+def split(crs: CRS) -> tuple[CRS | None, CRS | None]:
+    """The horizontal CRS and the one that declares heights (vertical, or of three axes); else None."""
+    if crs.is_bound and crs.source_crs is not None:
+        return split(crs.source_crs)
+    if crs.is_compound:
+        parts = [split(part) for part in crs.sub_crs_list]
+        horizontal = next((h for h, _ in parts if h is not None), None)
+        return horizontal, next((v for _, v in parts if v is not None), None)
+    if crs.is_vertical:
+        return None, crs
+    if len(crs.axis_info) == 3 and not crs.is_geocentric:
+        return crs.to_2d(), crs
+    return crs, None
+
+
+def same_horizontal(one: CRS, other: CRS) -> bool:
+    """Equal definitions, whatever their names and axis order, or the same EPSG code and unit."""
+    if one == other or one.equals(other, ignore_axis_order=True):
+        return True
+    code = one.to_epsg()
+    factors = [c.axis_info[0].unit_conversion_factor for c in (one, other) if c.axis_info]
+    return code is not None and code == other.to_epsg() and len(set(factors)) == 1

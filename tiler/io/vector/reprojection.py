@@ -1,0 +1,148 @@
+"""Geometries brought into the CRS of a run; edges that bend on the way get further places."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from pyproj import CRS, Transformer
+from pyproj.enums import TransformDirection
+from pyproj.exceptions import ProjError
+
+from tiler.core.crs import same_horizontal, split
+from tiler.errors import InputError
+from tiler.io.json_text import excerpt
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+MOST_HALVINGS = 12
+"""How often an edge is halved at most, where it bends on its way into another CRS."""
+BEND = 0.005
+"""Units of the CRS by which a straight edge may leave the bent one."""
+
+RETURN, RETURN_DEG = 1e-2, 1e-6
+"""Units or degrees to which a place comes back from another CRS; none does from far beyond the reach of one."""
+
+Places = npt.NDArray[np.float64]
+
+
+def in_crs(
+    path: Path, geometries: Sequence[BaseGeometry], text: str | None, wkt: str | None, notes: list[str]
+) -> list[BaseGeometry]:
+    """Geometries in the horizontal CRS of a run; heights stay as they are.
+
+    Parameters
+    ----------
+    path : Path
+        Their file, for messages.
+    geometries : sequence of shapely geometries
+    text : str or None
+        Their CRS, as the file says it.
+    wkt : str or None
+        CRS of the run; None if it is unknown.
+    notes : list of str
+        Gets what was decided.
+
+    Raises
+    ------
+    InputError
+        No CRS, an unknown one, none that leads to that of the run, or a place where that has no coordinates.
+    """
+    if text is None and wkt is None:
+        notes.append(f"{path}: names no CRS: it is taken to be in that of the clouds")
+        return list(geometries)
+    if text is None:
+        raise InputError(f"{path}: has no CRS; write it with one, `ogr2ogr -a_srs EPSG:... new.gpkg {path}`")
+    try:
+        named = split(CRS.from_user_input(text))[0]
+    except (ProjError, UnicodeError, RecursionError) as error:
+        raise InputError(f"{path}: its CRS {excerpt(text)} is not known; write it with another") from error
+    if named is None:
+        raise InputError(f"{path}: its CRS {excerpt(text)} has no horizontal part; write it with another")
+    own = None if wkt is None else split(CRS.from_wkt(wkt))[0]
+    if own is None:
+        raise InputError(
+            f"{path}: is in {named.name}, the CRS of the clouds is unknown; name it with --crs, or use --bounds"
+        )
+    if same_horizontal(named, own):
+        return list(geometries)
+    notes.append(f"{path}: is brought from {named.name} into {own.name}")
+    try:
+        transformer = Transformer.from_crs(named, own, always_xy=True)
+    except ProjError as error:
+        raise InputError(
+            f"{path}: is in {named.name}, from which no way leads into {own.name}; write it with another CRS"
+        ) from error
+    moved = partial(_moved, transformer, RETURN_DEG if named.is_geographic else RETURN)
+    try:
+        return [_rebuilt(geometry, moved) for geometry in geometries]
+    except _Beyond as error:
+        raise InputError(
+            f"{path}: reaches where {own.name} has no coordinates; cut it to the survey"
+        ) from error
+
+
+class _Beyond(Exception):
+    """Some place does not come back, as beyond the reach of a projection."""
+
+
+def _rebuilt(geometry: BaseGeometry, moved: Any) -> BaseGeometry:
+    """A geometry with each of its lines and rings, or its place, moved."""
+    import shapely
+
+    if geometry.geom_type == "Polygon":
+        rings = [moved(_places(ring), True) for ring in (geometry.exterior, *geometry.interiors)]
+        return shapely.Polygon(rings[0], rings[1:])
+    if geometry.geom_type == "LineString":
+        return shapely.LineString(moved(_places(geometry), False))
+    if geometry.geom_type == "Point":
+        return shapely.Point(moved(_places(geometry), False)[0])
+    parts = [_rebuilt(part, moved) for part in geometry.geoms]
+    return {
+        "MultiPolygon": shapely.MultiPolygon, "MultiLineString": shapely.MultiLineString,
+        "MultiPoint": shapely.MultiPoint,
+    }[geometry.geom_type](parts)  # fmt: skip
+
+
+def _places(geometry: BaseGeometry) -> Places:
+    import shapely
+
+    places: Places = shapely.get_coordinates(geometry, include_z=bool(geometry.has_z))
+    return places
+
+
+def _moved(transformer: Transformer, near: float, places: Places, closed: bool) -> Places:
+    """A line or ring in another CRS, with further points on the edges that are bent there.
+
+    An edge is divided in the same way in whatever direction it runs, so that neighbours keep a common border.
+    """
+    start = places[:-1] if closed else places
+    there = _transformed(transformer, start)
+    for _ in range(MOST_HALVINGS):
+        x, y = transformer.transform(there[:, 0], there[:, 1], direction=TransformDirection.INVERSE)
+        back = np.stack([x, y], axis=1)
+        if not (np.isfinite(there[:, :2]).all() and np.allclose(back, start[:, :2], rtol=0, atol=near)):
+            raise _Beyond
+        ahead, ahead_there = np.roll(start, -1, axis=0), np.roll(there, -1, axis=0)
+        middle = (start + ahead) / 2
+        moved = _transformed(transformer, middle)
+        leaves = np.hypot(*(moved - (there + ahead_there) / 2)[:, :2].T) > BEND
+        bent = np.flatnonzero(leaves if closed else leaves & (np.arange(len(leaves)) < len(leaves) - 1))
+        if not bent.size:
+            break
+        start = np.insert(start, bent + 1, middle[bent], axis=0)
+        there = np.insert(there, bent + 1, moved[bent], axis=0)
+    if not np.isfinite(there[:, :2]).all():
+        raise _Beyond
+    return np.concatenate([there, there[:1]]) if closed else there
+
+
+def _transformed(transformer: Transformer, places: Places) -> Places:
+    moved = places.copy()
+    moved[:, 0], moved[:, 1] = transformer.transform(places[:, 0], places[:, 1])
+    return moved
