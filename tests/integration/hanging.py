@@ -8,21 +8,20 @@ from pathlib import Path
 import rasterio
 from affine import Affine
 
+from tests.tiler.io.vector.files import write
+
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
 
 
-def endless_geopackage(path: Path, kind: str = "POLYGON", rows: bool = False) -> Path:
-    """One whose layer is a view that never ends: without a row, or with more of them for ever."""
-    sign = ">" if rows else "<"
+def endless_geopackage(path: Path, kind: str = "POLYGON") -> Path:
+    """One whose layer is a view that never ends, without a row."""
+    write(path, [], {"POLYGON": "Polygon", "POINT": "Point"}[kind], "EPSG:32632", layer="area")
     with sqlite3.connect(path) as base:
+        for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+            base.execute(f'DROP TRIGGER "{name}"')  # they need functions of GDAL
         base.executescript(f"""
-            CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT, srs_id INTEGER PRIMARY KEY, organization TEXT,
-                organization_coordsys_id INTEGER, definition TEXT, description TEXT);
-            INSERT INTO gpkg_spatial_ref_sys VALUES ('utm', 32632, 'EPSG', 32632, 'undefined', NULL);
-            CREATE TABLE gpkg_geometry_columns (table_name TEXT, column_name TEXT, geometry_type_name TEXT,
-                srs_id INTEGER, z TINYINT, m TINYINT);
-            INSERT INTO gpkg_geometry_columns VALUES ('area', 'geom', '{kind}', 32632, 0, 0);
-            CREATE VIEW area AS {ENDLESS} SELECT i AS fid, zeroblob(1000) AS geom FROM n WHERE i {sign} 0;
+            DELETE FROM gpkg_extensions; DELETE FROM gpkg_ogr_contents; DROP TABLE rtree_area_geom; DROP TABLE area;
+            CREATE VIEW area AS {ENDLESS} SELECT i AS fid, zeroblob(1000) AS geom FROM n WHERE i < 0;
         """)
     base.close()
     return path

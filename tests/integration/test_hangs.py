@@ -28,7 +28,6 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("hostile")
     return {
         "area": endless_geopackage(folder / "area.gpkg"),
-        "areas": endless_geopackage(folder / "areas.gpkg", rows=True),
         "points": endless_geopackage(folder / "points.gpkg", "POINT"),
         "raster": huge_raster(folder / "huge.tif"),
     }
@@ -70,13 +69,6 @@ def test_what_never_ends_is_given_up(
     assert_one_line(
         capsys.readouterr().err, "what reads it did not end within", str(next(iter(hostile.values())).parent)
     )
-
-
-def test_what_would_take_all_memory_is_given_up(
-    cloud: Path, hostile: dict[str, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["plan", str(cloud), "--aoi", str(hostile["areas"])]) == 3
-    assert_one_line(capsys.readouterr().err, "areas.gpkg: what reads it needs more than the 1024 MiB")
 
 
 def test_settings_without_end_are_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

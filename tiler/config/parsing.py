@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any
 
+from tiler.core.frame import FARTHEST
 from tiler.core.units import parse_length
 from tiler.errors import ConfigError
 
@@ -110,10 +111,6 @@ def _named(name: str) -> Iterator[None]:
         yield
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from error
-
-
-FARTHEST = 9e12
-"""Units of the CRS: what is not nearer to its origin is no coordinate, see `tiler.ingest.requantise.BEYOND`."""
 
 
 def _positive_length(name: str, value: Any) -> Fraction:

@@ -6,8 +6,9 @@ Before them, for the plan: `find_inputs`, `inspect` (several files at a time), `
 """
 
 from tiler.ingest.assemble import assemble_buckets
+from tiler.ingest.common_crs import Agreement, agree
 from tiler.ingest.extent import FAR
-from tiler.ingest.georeference import Agreement, Georeference, agree
+from tiler.ingest.georeference import Georeference
 from tiler.ingest.patches import Patch
 from tiler.ingest.requantise import bounds_in_counts
 from tiler.ingest.search import find_inputs

@@ -10,9 +10,10 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from tiler.config import RunConfig
+from tiler.core.crs import same_horizontal, split
 from tiler.core.units import METRE, Units, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
-from tiler.ingest.georeference import Georeference, describe, same_horizontal, split
+from tiler.ingest.georeference import Georeference, describe
 from tiler.ingest.sources import SourceInfo
 
 

@@ -1,4 +1,4 @@
-"""CRS and units of the sources, and the one CRS of a run."""
+"""CRS and units of one source, from its WKT or its GeoTIFF keys."""
 
 from __future__ import annotations
 
@@ -6,23 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
 from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
-from tiler.config import RunConfig
-from tiler.core.crs import same_horizontal, split
-from tiler.core.units import METRE, Units, exact_unit, unit_label, unit_named
-from tiler.errors import ConfigError, InputError
+from tiler.core.crs import split
+from tiler.core.units import exact_unit
 from tiler.ingest.geokeys import DIRECTORY, crs_of_keys
 from tiler.io.las.headers import LasHeader, read_payload
 from tiler.io.las.records import PROJECTION_USER
-
-if TYPE_CHECKING:
-    from tiler.ingest.sources import SourceInfo
 
 _WKT_RECORD = 2112
 
@@ -50,14 +43,6 @@ class Georeference:
     horizontal: Fraction | None = None
     vertical: Fraction | None = None
     notes: tuple[str, ...] = ()
-
-
-class Agreement(NamedTuple):
-    """The one CRS of a run (None: unknown), its units, and what to tell people."""
-
-    wkt: str | None
-    units: Units
-    notes: list[str]
 
 
 def georeference(header: LasHeader) -> Georeference:
@@ -142,138 +127,3 @@ def _from_keys(header: LasHeader, notes: list[str]) -> Georeference | None:
             return describe(keyed.horizontal, notes, keyed.vertical_unit)
         return found
     return None
-
-
-def agree(infos: Sequence[SourceInfo], config: RunConfig) -> Agreement:
-    """One CRS and one pair of units for all sources; files without points have no say.
-
-    Raises
-    ------
-    InputError
-        A CRS that is missing (and no ``--crs``), geographic, geocentric, or not that of the others.
-    ConfigError
-        ``--crs`` or ``--units`` that mean nothing.
-    """
-    notes: list[str] = []
-    given = _given(config.crs)
-    members = [(i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points]
-    _check_horizontal(members)
-    _tell_of_own(members, config.crs, given, notes)
-    units = _units(members, config.units, notes)
-    texts = {g.wkt for _, g in members if g.wkt is not None}
-    # Equal definitions may be written in several ways: take the same one in whatever order files come.
-    return Agreement(min(texts, key=lambda t: (-t.count("ID["), t)) if texts else None, units, notes)
-
-
-def _given(text: str | None) -> Georeference | None:
-    """The CRS of ``--crs``; raises ConfigError, or InputError where it is in degrees."""
-    if text is None or text.strip().lower() == "none":
-        return None
-    try:
-        found = describe(CRS.from_user_input(text))
-    except CRSError as error:
-        raise ConfigError(
-            f"--crs {text}: {' '.join(str(error).split())[:150]}; write EPSG:25832, a WKT, or none"
-        ) from error
-    if found.kind not in ("projected", "local"):
-        kind = "; ".join(found.notes) if found.kind == "missing" else f"{found.name} is {found.kind}"
-        raise ConfigError(f"--crs {text}: {kind}; name a projected CRS")
-    return found
-
-
-def _tell_of_own(
-    members: Sequence[tuple[Path, Georeference]],
-    text: str | None,
-    given: Georeference | None,
-    notes: list[str],
-) -> None:
-    """Note files whose own CRS, one for all, counts although ``--crs`` says another."""
-    own = [(g.wkt, g.name) for _, g in members if g.wkt is not None and g is not given]
-    if text is None or not own:
-        return
-    theirs = split(CRS.from_wkt(own[0][0]))[0]
-    wanted = split(CRS.from_wkt(given.wkt))[0] if given is not None and given.wkt is not None else None
-    if theirs is None or wanted is None or not same_horizontal(wanted, theirs):
-        notes.append(
-            f"--crs {text}: is for files without a CRS; that of {len(own)} of {len(members)} files, {own[0][1]}, counts"
-        )
-
-
-def _settled(path: Path, own: Georeference, given: Georeference | None, text: str | None) -> Georeference:
-    """What a file's coordinates mean once ``--crs`` is heard; raises InputError."""
-    if own.kind in ("geographic", "geocentric"):
-        raise InputError(
-            f"{path}: its CRS {own.name} is {own.kind}, distances in it are no lengths; "
-            "reproject the file to a projected CRS"
-        )
-    if own.kind != "missing":
-        return own
-    if given is not None:
-        return given
-    if text is not None:
-        return Georeference("missing", "unknown")
-    why = f" ({'; '.join(own.notes)})" if own.notes else ""
-    raise InputError(
-        f"{path}: has no CRS{why}; name it with --crs EPSG:..., or --crs none to assume metres "
-        "(feet: --crs none --units ft)"
-    )
-
-
-def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
-    """All files in one horizontal CRS; raises InputError that names two files."""
-    if not members:
-        return
-    first_path, first = members[0]
-    parsed: dict[str | None, CRS | None] = {}
-    for _, member in members:
-        if member.wkt not in parsed:
-            parsed[member.wkt] = split(CRS.from_wkt(member.wkt))[0] if member.wkt else None
-    reference = parsed[first.wkt]
-    for path, member in members[1:]:
-        other = parsed[member.wkt]
-        if other is reference:
-            continue
-        if other is None or reference is None or not same_horizontal(reference, other):
-            raise InputError(
-                f"{path}: its CRS is {member.name}, that of {first_path} is {first.name}; "
-                "run them apart, reproject, or give --crs for files without one"
-            )
-
-
-def _units(members: Sequence[tuple[Path, Georeference]], text: str | None, notes: list[str]) -> Units:
-    """Metres per unit, horizontally and vertically; raises InputError, ConfigError."""
-    horizontal = next((g.horizontal for _, g in members if g.horizontal is not None), None)
-    if horizontal is None:
-        horizontal = METRE
-        if members and text is None:
-            notes.append("CRS unknown: coordinates are taken as metres")
-    declared = [(path, g.vertical) for path, g in members]
-    chosen = next((v for _, v in declared if v is not None), None)
-    if text is not None:
-        parts = [unit_named(part) for part in text.split(",")]
-        if len(parts) > 2:
-            raise ConfigError(f"--units {text}: write h or h,v, like ft or m,ft")
-        units = Units(parts[0], parts[1] if len(parts) == 2 else chosen or parts[0])
-        notes.append(
-            f"--units: {unit_label(units.horizontal)} horizontally, {unit_label(units.vertical)} vertically"
-        )
-        if parts[0] != horizontal and any(g.wkt for _, g in members):
-            notes.append(
-                f"--units {text}: x and y are taken as {unit_label(parts[0])} although their CRS says "
-                f"{unit_label(horizontal)}; was it only the heights, keep the first of --units h,v as the CRS has it"
-            )
-        return units
-    effective = [(path, v if v is not None else horizontal) for path, v in declared]
-    for path, unit in effective[1:]:
-        if unit != effective[0][1]:
-            raise InputError(
-                f"{path}: its heights are in {unit_label(unit)}, those of {effective[0][0]} in "
-                f"{unit_label(effective[0][1])}; convert them, or say what all have with --units h,v"
-            )
-    silent = sum(v is None for _, v in declared)
-    if silent and any(g.wkt for _, g in members):
-        notes.append(
-            f"no vertical CRS in {silent} of {len(declared)} files: heights are taken as "
-            f"{unit_label(horizontal)}, the horizontal unit; --units h,v says otherwise"
-        )
-    return Units(horizontal, effective[0][1] if effective else horizontal)

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tiler.config import RunConfig
-from tiler.config.parsing import FARTHEST
 from tiler.core.area import Area, shortened
-from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.frame import COUNTS_PER_UNIT, FARTHEST
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import SourceInfo, bounds_in_counts
 from tiler.io.vector import POLYGONS, read_in_crs

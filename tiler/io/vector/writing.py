@@ -46,7 +46,7 @@ class GeoPackage:
 
         dimensions = 3 if kind.endswith(" Z") else 2
         shapes = np.empty(len(geometries), object)
-        shapes[:] = [shapely.to_wkb(g, output_dimension=dimensions, flavor="iso") for g in geometries]
+        shapes[:] = [shapely.to_wkb(g, output_dimension=dimensions, flavor="extended") for g in geometries]
         with warnings.catch_warnings():
             # Until the file is whole its name does not end as that of a GeoPackage should; without a CRS there is none.
             warnings.simplefilter("ignore", RuntimeWarning)
