@@ -97,10 +97,13 @@ class ObjectPass(MatchedPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Codes:
         """Judge the surfaces of the cells that are left."""
         cells = Cells.of(CELL_M, scale)
-        codes = np.where(points.known_labels() == OBJECT, np.uint8(OBJECT), np.uint8(LEFT))
+        known = points.known_labels()
+        codes = np.where(known == OBJECT, np.uint8(OBJECT), np.uint8(LEFT))
         if len(points) == 0:
             return Codes(None, codes, cells)
         raster = raster_of(points.xyz, cells)
+        if (known > 0).all() and not (known == OBJECT).any():
+            return Codes(raster, known, cells)  # nothing was found before, so nothing has changed
         before = np.zeros(raster.heights.size, np.bool_)
         before[raster.keys[codes == OBJECT]] = True
         removed = before.reshape(raster.heights.shape)

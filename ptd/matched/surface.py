@@ -15,6 +15,7 @@ Gaussian sums over cells are cut off at a fixed radius, so nothing beyond `reach
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -88,10 +89,14 @@ class _Cells:
     height: Float64
     there: Bool
 
-    def mean(self, values: Float64, std_m: float) -> Float64:
-        """Gaussian mean of the values of the cells that are there; 0 where none is near."""
-        weight = smoothed(self.there.astype(np.float64), std_m)
-        return smoothed(np.where(self.there, values, 0.0), std_m) / np.maximum(weight, 1e-9)
+    @cached_property
+    def near(self) -> Float64:
+        """How much of the surroundings from which slopes are taken holds cells."""
+        return smoothed(self.there.astype(np.float64), SLOPE_SMOOTHED_M)
+
+    def mean(self, values: Float64) -> Float64:
+        """Gaussian mean of the values of the cells that are there, as slopes need it; 0 where none is near."""
+        return smoothed(np.where(self.there, values, 0.0), SLOPE_SMOOTHED_M) / np.maximum(self.near, 1e-9)
 
     def around(self, which: Bool, std_m: float) -> Float64:
         """Share of all places around each cell that hold a chosen one, by blocks of `SHARE_BLOCK` cells."""
@@ -174,10 +179,8 @@ def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
 
 
 def _slope(cells: _Cells, surface: Float64) -> Float64:
-    smooth = cells.mean(surface, SLOPE_SMOOTHED_M)
-    north, east = np.gradient(smooth, CELL_M)
-    inner = smoothed(cells.there.astype(np.float64), SLOPE_SMOOTHED_M) > 0.2
-    found: Float64 = np.where(cells.there & inner, np.hypot(north, east), 0.0)
+    north, east = np.gradient(cells.mean(surface), CELL_M)
+    found: Float64 = np.where(cells.there & (cells.near > 0.2), np.hypot(north, east), 0.0)
     return np.minimum(found, STEEPEST)
 
 
@@ -199,9 +202,11 @@ def _bent(cells: _Cells, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m
     contrast, _ = _contrast(cells, cells.there & ~terrain, pliable, sigma_m, CONTRAST_M)
     surface = pliable - _ramp(contrast, CONTRAST) * (pliable - stiff)
     for rule in RIDGES:
+        share = _of_terrain(cells, terrain, surface, sigma_m)
+        if rule.curvature > OPEN_GROUND and (share <= RIDGE_SHARE[0]).all():
+            continue
         ridges = np.maximum(hull(rule), surface)
         contrast, on = _contrast(cells, cells.there, ridges, sigma_m, RIDGE_M)
-        share = _of_terrain(cells, terrain, surface, sigma_m)
         if rule.curvature <= OPEN_GROUND:
             share = np.maximum(share, on)
         surface = surface + _ramp(share, RIDGE_SHARE) * (1.0 - _ramp(contrast, RIDGE_CONTRAST)) * (
