@@ -13,7 +13,7 @@ import pytest
 import rasterio
 from affine import Affine
 
-from tests.benchmarks import leave_one_out, matched, measuring, peers
+from tests.benchmarks import leave_one_out, matched, matched_runs, measuring, peers
 from tests.benchmarks.scorecard_scenes import (
     SEMI_REAL,
     SEMI_REAL_SCENES,
@@ -88,6 +88,17 @@ def test_heights_beside_pixels_without_one_are_not_known() -> None:
     heights = np.array([[1.0, 2.0, 3.0], [3.0, 4.0, np.nan]])
     x, y = np.array([0.75, 1.0, 2.0]), np.array([1.0, 1.25, 1.25])
     np.testing.assert_array_equal(bilinear(heights, 1.0, x, y), [2.25, 2.0, np.nan])
+
+
+def test_what_is_left_in_a_terrain_is_told_with_its_place_and_class() -> None:
+    off = np.zeros((40, 60))
+    off[4:10, 8:20] = 3.0  # 6 m x 3 m, its middle 7 m east and 16.5 m north
+    off[30:32, 50:52] = 5.0  # 1 m2
+    off[20, :] = np.nan
+    roof = np.column_stack((np.linspace(5, 9, 30), np.full(30, 16.5), np.full(30, 103.0)))
+    (left,) = matched_runs.objects_left(off, Cloud(roof, np.full(30, 6, np.uint8)))
+    assert left == matched_runs.Left(7.0, 16.5, 18.0, 3.0, "building")
+    assert str(left) == "building at 7, 16 (18 m2, up to 3.0 m)"
 
 
 def test_semi_real_scenes(shared_data: Path) -> None:
