@@ -18,7 +18,7 @@ from ptd.frame import Cells, Scale, Window
 from ptd.kernel import kernel
 
 CELL_M, BIN_M = 2.0, 1.0
-GAP_BINS, LEAST_OF_9 = 2, 6
+GAP_BINS, LEAST_OF_9 = 2, 7
 REACH_M = 3 * CELL_M
 """Around the core, all points must be there for `seen_through` to give the same with any tiles."""
 
