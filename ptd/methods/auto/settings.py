@@ -30,9 +30,9 @@ SEVERAL_SHARE = 0.001
 CUT_SIZE = 0.6
 """Share of `AutoParameters.roof_size_m` for roofs that the border of the data cuts: a terrace may go on there."""
 SEEN_THROUGH_SHARE = 0.004
-"""Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be: 0.006
-to 0.28 in real laser scans of 4 points/m2 or more (simulated ones without trees: 0.0002), 0 to 0.003 in matched ones, of
-which those on wooded cliffs have most."""
+"""Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be:
+0.006 to 0.28 in real laser scans of 4 points/m2 or more (0.0002 in a simulated one without trees), 0 to 0.003 in
+matched clouds, of which those of wooded cliffs have most."""
 MATCHED_M2 = 4.0
 """Points per square metre from which on a cloud without returns can be told as matched by what is seen through."""
 LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M = 0.03, 0.25

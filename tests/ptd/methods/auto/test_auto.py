@@ -112,17 +112,17 @@ def test_a_climbed_roof_is_given_back_but_no_seed() -> None:
 def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through() -> None:
     found = Roughness(8.0, 0.066, 50, 0.07)
     run = {"rgb": False, "sigma_m": None, "kind": None}
-    survey, notes = decided(Auto(), found, Seen(1000, 0, 500, 4), run)
+    survey, notes = decided(Auto(), found, Seen(1000, 0, 500, 1), run)
     assert (survey["kind"], survey["cell_sigma_m"], survey["density_m2"]) == ("dim", 0.07, 8.0)
     assert notes == [
         "decided: image matching (no point is one of several returns, and nothing is seen through plants); "
         "8 points/m2, noise 0.07 m",
         "decided: ground is up to 0.2 m and the local noise from the surface, after a vote of neighbours",
     ]
-    assert decided(Auto(), found, Seen(0, 0, 500, 4), run)[0]["kind"] == "dim"  # returns are not known
+    assert decided(Auto(), found, Seen(0, 0, 500, 1), run)[0]["kind"] == "dim"  # returns are not known
     for several, through, why in (
         (10, 0, "1 % of the points are one of several returns"),
-        (0, 5, "pulses passed through plants in 1 % of the area, though each point is a single return"),
+        (0, 2, "pulses passed through plants in 0.4 % of the area, though each point is a single return"),
     ):
         survey, notes = decided(Auto(), found, Seen(1000, several, 500, through), run)
         assert survey["kind"] == "lidar"
