@@ -17,7 +17,7 @@ SETTINGS = {spec.name: spec for spec in dataclasses.fields(RunConfig)}
 
 _METAVARS = {"length": "LENGTH", "bytes": "SIZE", "classes": "N,N,...", "names": "NAME,...", "pairs": "NAME=VALUE",
              "bounds": "X0 Y0 X1 Y1", "int": "N", "preset": "NAME", "nodata": "VALUE",
-             "file": "FILE"}  # fmt: skip
+             "file": "FILE", "files": "FILE"}  # fmt: skip
 
 
 def config_options(only: Collection[str] | None = None) -> Callable[[Command], Command]:
@@ -95,6 +95,9 @@ def _option(spec: dataclasses.Field[Any]) -> Callable[[Command], Command]:
     if kind == "pairs":
         help = f"{help.split(' [')[0]}; repeatable [default: the method's own]"
         return click.option("--set", spec.name, multiple=True, metavar=metavar, help=help)
+    if kind == "files":
+        help = f"{help.split(' [')[0]}; repeatable [default: none]"
+        return click.option(f"--{name}", spec.name, multiple=True, metavar=metavar, help=help)
     if kind == "bounds":
         return click.option(f"--{name}", spec.name, nargs=4, type=float, metavar=metavar, help=help)
     if kind == "int":

@@ -19,6 +19,7 @@ from tiler.observe.events import Listener, combine, discreet, silent
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember
 from tiler.report.html import write_report
 from tiler.runs.job import Job, RunResult
+from tiler.stages.corrections import correct
 from tiler.stages.export import export
 from tiler.stages.filter import filter_points
 from tiler.stages.fingerprints import numbered
@@ -194,10 +195,11 @@ def _stages(job: Job, until: str) -> None:
     labels = filter_points(job, assembled)
     if until == "filter":
         return
-    gridding = grid(job, assembled, labels)
+    labels, corrections = correct(job, assembled, labels)
+    gridding = grid(job, assembled, labels, corrections)
     if until == "grid":
         return
-    export(job, gridding, sources, spooled, labels)
+    export(job, gridding, sources, spooled, labels, corrections)
 
 
 def _make_folder(out: Path) -> None:

@@ -116,7 +116,7 @@ def _named(name: str) -> Iterator[None]:
 def _positive_length(name: str, value: Any) -> Fraction:
     with _named(name):
         length = parse_length(value)
-    if length < 0 or (length == 0 and name not in ("halo", "erode")):
+    if length < 0 or (length == 0 and name not in ("halo", "erode", "contour_smooth")):
         raise ConfigError(f"{name} {value}: must be above 0")
     return length
 
@@ -133,6 +133,14 @@ def _bounds(value: Any) -> tuple[float, float, float, float]:
             f"bounds {value!r}: nothing lies farther than {FARTHEST:g}; write coordinates of the CRS"
         )
     return x0, y0, x1, y1
+
+
+def parse_files(name: str, value: Any) -> tuple[str, ...]:
+    """Names of files, one or a list, each once; raises ConfigError."""
+    files = [value] if isinstance(value, str) else value
+    if not isinstance(files, list | tuple) or not all(isinstance(f, str) and f for f in files):
+        raise ConfigError(f"{name} {value!r}: must be the name of a file, or a list of them")
+    return tuple(dict.fromkeys(files))
 
 
 def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
@@ -160,6 +168,8 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
         return parse_names(spec.name, value, spec.metadata["choices"])
     if kind == "pairs":
         return parse_pairs(value)
+    if kind == "files":
+        return parse_files(spec.name, value)
     if kind == "bounds":
         return _bounds(value)
     if kind == "int" and (not isinstance(value, int) or isinstance(value, bool) or value < 1):

@@ -15,7 +15,7 @@ from typing import Any
 from ptd.params import UNIT_SUFFIXES
 from tiler.config.parsing import parse_pairs, parse_value, plain_value
 from tiler.config.presets import load_preset, preset_names
-from tiler.core.products import NODATA, PRODUCTS
+from tiler.core.products import DRAWN, NODATA, PRODUCTS
 from tiler.errors import ConfigError
 
 
@@ -44,7 +44,8 @@ class RunConfig:
     products: tuple[str, ...] = setting(
         ("dtm",), "rasters to write, each as OUT/<name>.tif: dtm, dsm (surface), ndsm (surface above the terrain), "
         "hillshade, slope (degrees), density (ground points per m2), distance (to the nearest ground point, m), mask "
-        "(where heights come from)", kind="names", choices=tuple(PRODUCTS),
+        "(where heights come from); as OUT/<name>.gpkg: contours (lines), spots (tops and bottoms)", kind="names",
+        choices=(*PRODUCTS, *DRAWN),
     )  # fmt: skip
     sheets: Fraction | None = setting(None, "side of the sheets into which each product is cut: files "
                                       "OUT/<name>/<name>_<x>_<y>.tif below OUT/<name>.vrt; default: one file", unit="m",
@@ -72,6 +73,23 @@ class RunConfig:
     voids: str = setting("leave", "pixels beyond `max-edge` inside the survey: leave (no height), fill (from "
                          "their rim), or mark (fill, and write the mask)", kind="choice",
                          choices=("leave", "fill", "mark"))  # fmt: skip
+    breaklines: tuple[str, ...] = setting(
+        (), "file of lines in 3D, or with a height in a column (z, elevation), in any CRS, that the terrain follows; "
+        "ground nearer to them than half a pixel is left out", kind="files",
+    )  # fmt: skip
+    edits: str | None = setting(
+        None, "file of polygons, in any CRS, with a column `action`: not_ground (no point inside is ground), ground "
+        "(points inside that the input calls so are, or else the lowest of each pixel), void (no height), flat (the "
+        "height in the column z); default: none", kind="file",
+    )  # fmt: skip
+    contour_interval: Fraction | None = setting(
+        None, "difference of height between contours; default: a round number of the CRS's unit that gives 50 levels "
+        "at most", unit="m", kind="length",
+    )  # fmt: skip
+    contour_smooth: Fraction | None = setting(
+        None, "heights are averaged for the contours by a Gaussian of this standard deviation; 0: not at all; default: "
+        "2 pixels", unit="m", kind="length",
+    )  # fmt: skip
     spike: Fraction = setting(Fraction(5), "the DSM leaves out a pixel's highest return if it rises this far above "
                               "all returns around it (next pixels, at least 1 m)", unit="m", kind="length")  # fmt: skip
     memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "
@@ -153,9 +171,14 @@ class RunConfig:
 
     @property
     def exported(self) -> tuple[str, ...]:
-        """The products that become files."""
+        """The products that become rasters people open."""
         marked = {"mask"} if self.voids == "mark" else set()
         return tuple(name for name in PRODUCTS if name in marked or name in self.products)
+
+    @property
+    def drawn(self) -> tuple[str, ...]:
+        """The products that become vector files."""
+        return tuple(name for name in DRAWN if name in self.products)
 
     def to_json(self) -> dict[str, Any]:
         """JSON-able settings; `from_mapping` reads them back."""

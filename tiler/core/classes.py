@@ -11,6 +11,7 @@ UNCLASSIFIED = 1
 GROUND = 2
 LOW_NOISE = 7
 WATER = 9
+BRIDGE = 17
 HIGH_NOISE = 18
 
 NOISE = (LOW_NOISE, HIGH_NOISE)
@@ -29,7 +30,7 @@ MARK_BIT = 0x80
 def participates(
     classification: npt.NDArray[np.uint8],
     flags: npt.NDArray[np.uint8],
-    keep_classes: Sequence[int] = (LOW_NOISE, WATER, 17, HIGH_NOISE),
+    keep_classes: Sequence[int] = (LOW_NOISE, WATER, BRIDGE, HIGH_NOISE),
     skip_flags: int = WITHHELD_FLAG,
 ) -> npt.NDArray[np.bool_]:
     """Mask of the points that take part in filtering.

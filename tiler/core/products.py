@@ -19,6 +19,10 @@ MASK_VALUES = {
     HOLE: "hole: no height inside the survey, or a tile that failed",
 }
 
+CONTOURS, SPOTS = "contours", "spots"
+DRAWN = (CONTOURS, SPOTS)
+"""Products that are no rasters: lines and points of a GeoPackage each."""
+
 HEIGHT = "height"
 """In place of a unit: the vertical unit of the CRS."""
 

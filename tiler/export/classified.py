@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.area import Area
+from tiler.core.edits import OF_POINTS
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
@@ -49,7 +50,8 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     args : dict
         ``path`` (str) and ``source`` (int) of the input; ``out`` (str, the final name, a path or URL); ``labels`` (str,
         the name of the final labels); ``cells`` ([[ix, iy], ...], the buckets that hold points of it);
-        ``salvage`` (bool); ``stamp`` (of the input, as the plan found it); ``area`` (str, key in the store, or None).
+        ``salvage`` (bool); ``stamp`` (of the input, as the plan found it); ``area`` (str, key in the store, or None);
+        ``edits`` (str, key in the store of corrections, or None).
         A label of 0, a point that the store does not hold and one outside of the area keep the source's class.
 
     Returns
@@ -83,7 +85,9 @@ def _write(store: TileStore, header: LasHeader, args: dict[str, Any], out: Path)
         with open_cloud(header.path) as source, open(partial, "w+b") as target:
             notes = _write_front(header, source, target)
             area = store.area(args.get("area"))
-            record = _write_points(header, target, store, int(args["source"]), args["labels"], cells, area)
+            record = _write_points(
+                header, target, store, int(args["source"]), args["labels"], cells, area, args.get("edits")
+            )
             _write_back(header, source, target)
             target.flush()
             os.fsync(target.fileno())
@@ -168,6 +172,7 @@ def _write_points(
     labels: str,
     cells: Sequence[Cell],
     area: Area | None,
+    edits: str | None,
 ) -> dict[str, Any]:
     """All records in their order with their new classes."""
     classes = np.zeros(256, dtype=np.int64)
@@ -179,7 +184,7 @@ def _write_points(
     with PointReader(header, EVERYTHING) as reader:
         for first in range(0, header.point_count, ROWS_AT_ONCE):
             last = min(first + ROWS_AT_ONCE, header.point_count)
-            found = collect_labels(store, source, labels, cells, first, last, area)
+            found = collect_labels(store, source, labels, cells, first, last, area, edits)
             for start in range(first, last, step):
                 stop = min(start + step, last)
                 records = reader.read(start, stop - start)
@@ -221,6 +226,7 @@ def collect_labels(
     first: int,
     last: int,
     area: Area | None = None,
+    edits: str | None = None,
 ) -> npt.NDArray[np.uint8]:
     """Final classes of the rows ``first`` to ``last`` of a source, uint8; 0 where the store or the area has none."""
     found = np.zeros(last - first, dtype=np.uint8)
@@ -235,8 +241,22 @@ def collect_labels(
             x, y = (block.xyz[axis].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
             mine &= area.inside(x, y)
         if mine.any():
-            found[rows[mine] - first] = store.read_labels(labels, cell)[mine] & ~np.uint8(_MARK)
+            final = store.read_labels(labels, cell)
+            if edits is not None:
+                final = _corrected(store, edits, cell, final)
+            found[rows[mine] - first] = final[mine] & ~np.uint8(_MARK)
     return found
+
+
+def _corrected(
+    store: TileStore, edits: str, cell: Cell, labels: npt.NDArray[np.uint8]
+) -> npt.NDArray[np.uint8]:
+    """Labels of a bucket as the corrections want them."""
+    found = store.edits(edits, store.meta.bucket.bounds(cell), OF_POINTS)
+    if found is None:
+        return labels
+    points = store.read_bucket(cell, ("xyz", "classification", "flags"))
+    return found.labels(points, labels, store.meta.frame.origin)
 
 
 def _write_back(header: LasHeader, source: BinaryIO, target: BinaryIO) -> None:

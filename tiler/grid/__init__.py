@@ -5,6 +5,7 @@ from tiler.grid.block import SMALLEST_PART, full_halo, grid_block
 from tiler.grid.density import density_block
 from tiler.grid.derived import derive_block
 from tiler.grid.distance import distance_block
+from tiler.grid.edits import survey_edit
 from tiler.grid.mask import mask_block
 from tiler.grid.surface import DEEP_M, reach_pixels, surface_block
 from tiler.grid.survey import blocks_of, occupancy_block, survey_raster
@@ -26,5 +27,6 @@ __all__ = [
     "occupancy_block",
     "reach_pixels",
     "surface_block",
+    "survey_edit",
     "survey_raster",
 ]

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from ptd.gridding.idw import inverse_distance
 from ptd.tin import Pixels, Raster, Tin, Window, rasterise
 from ptd.tin.mesh import MAX_EXTENT
+from tiler.core.edits import OF_PIXELS
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock
@@ -63,6 +64,7 @@ class GridJob:
     thin: Lattice | None
     percent: int | None
     interpolation: str
+    breaklines: str | None
 
 
 def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
@@ -82,6 +84,8 @@ def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``thin_cell``: counts, as a fraction in text, or None. Of the ground points of such a cell only one is used:
         that at ``percent`` of their heights, or the central one where that is None. One value for the whole
         run, as another one is another surface.
+        ``breaklines``: key in the store of lines that the surface follows, or None. ``edits``: key in the store of
+        corrections, which have the last word on what is ground and where there is a height, or None.
         ``max_points``: a block whose window holds more is done in quarters (default: never).
 
     Returns
@@ -96,12 +100,25 @@ def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         The window is too wide for the TIN, or the resolution too odd a fraction of the CRS's unit.
     """
     store = open_store(store_url)
+    spec, block = RasterSpec.from_json(args["spec"]), Block(*args["block"])
     heights, record = _in_parts(store, args)
-    store.write_block(args["name"], Block(*args["block"]), heights)
+    edited = edit_heights(store, args.get("edits"), spec, block, heights)
+    if edited:
+        filled = int(np.count_nonzero(heights != np.float32(NODATA)))
+        record |= {"filled": filled, "nodata": heights.size - filled, "edited": edited}
+    store.write_block(args["name"], block, heights)
     return {**record, "checksum": checksum(heights)}
 
 
 Heights = npt.NDArray[np.float32]
+
+
+def edit_heights(
+    store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Heights
+) -> list[tuple[int, int]]:
+    """Set heights that corrections say; number of each that touches the block, and how many pixels it changed."""
+    edits = None if key is None else store.edits(key, spec.block_bounds(block), OF_PIXELS)
+    return [] if edits is None else edits.set_heights(spec, block, heights)
 
 
 def _in_parts(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[str, Any]]:
@@ -192,6 +209,9 @@ def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict
 def _attempt(store: TileStore, job: GridJob, window: Bounds) -> tuple[Heights, dict[str, Any]]:
     """Heights of a block from what a window holds, and the record."""
     ground, xyz = _ground(store, job, window)
+    if job.breaklines is not None:
+        lines = store.breaklines(job.breaklines)
+        xyz = lines.applied(xyz, window, job.data, store.meta.frame.origin)
     raster = rasterise_window(store, job, window, xyz)
     heights = heights_in_units(raster)
     filled = int(np.count_nonzero(heights != np.float32(NODATA)))
@@ -218,6 +238,7 @@ def read_job(args: dict[str, Any]) -> GridJob:
         None if thin is None else Lattice(Fraction(thin)),
         args.get("percent"),
         args.get("interpolation", "linear"),
+        args.get("breaklines"),
     )
 
 

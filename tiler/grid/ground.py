@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ptd.gridding.wall_feet import beside_objects
 from tiler.core.classes import GROUND, MARK_BIT, NOISE, WITHHELD_FLAG
+from tiler.core.edits import FORCED_OFF, FORCED_ON, OF_POINTS
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
@@ -33,6 +34,8 @@ class GroundRule:
     erode : Fraction
         Counts in plan. A ground point within that distance of an object's point that is higher by ``erode_rise``
         counts (vertical) is none: what image matching leaves of walls. 0: all count.
+    edits : str or None
+        Key in the store of the corrections that have the last word on what is ground.
     """
 
     labels: str | None
@@ -40,13 +43,14 @@ class GroundRule:
     skip_flags: int = WITHHELD_FLAG
     erode: Fraction = Fraction(0)
     erode_rise: int = 0
+    edits: str | None = None
 
     @classmethod
     def from_args(cls, args: dict[str, Any]) -> GroundRule:
-        """From ``labels``, ``classes`` (default 2), ``skip_flags`` (default withheld), ``erode`` of a task."""
+        """From the arguments of a task of these names; ``classes`` default to 2, ``skip_flags`` to withheld."""
         return cls(
             args["labels"], args.get("classes", (GROUND,)), args.get("skip_flags", WITHHELD_FLAG),
-            Fraction(args.get("erode", 0)), args.get("erode_rise", 0),
+            Fraction(args.get("erode", 0)), args.get("erode_rise", 0), args.get("edits"),
         )  # fmt: skip
 
     def is_ground(self) -> npt.NDArray[np.bool_]:
@@ -83,15 +87,11 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choo
         comes before any choice.
     """
     choose = None if rule.erode else choose
-    is_ground = rule.is_ground()
-    columns = ("xyz", "flags") if rule.labels is not None else ("xyz", "flags", "classification")
     parts, marks = [np.empty((3, 0), np.int32)], [np.empty(0, np.bool_)]
     read = 0
     for cell in store.buckets_within(bounds):
-        block = store.read_bucket(cell, columns)
-        column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
-        classes = _there(column, store, cell)
-        chosen = is_ground[classes] & _used(block, rule, store, cell)
+        block, classes, is_ground = read_classes(store, rule, cell)
+        chosen = is_ground & _used(block, rule, store, cell)
         chosen &= block.inside(bounds, store.meta.frame.origin)
         points = block.xyz[:, chosen]
         read += points.shape[1]
@@ -106,14 +106,34 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choo
     return Ground(xyz, read, int(marked.sum()))
 
 
+def read_classes(
+    store: TileStore, rule: GroundRule, cell: Cell, needs_input: bool = False
+) -> tuple[PointBlock, npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
+    """The points of a bucket with their flags, the class of each as it was found, and which are ground.
+
+    ``needs_input``: with the classes of the input in any case.
+    """
+    edits = None
+    if rule.edits is not None:
+        edits = store.edits(rule.edits, store.meta.bucket.bounds(cell), OF_POINTS)
+    needs_input |= rule.labels is None or edits is not None
+    block = store.read_bucket(cell, ("xyz", "flags", *(("classification",) if needs_input else ())))
+    column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
+    classes = _there(column, store, cell)
+    is_ground = rule.is_ground()[classes]
+    if edits is not None:
+        forced = edits.forced(block, classes, store.meta.frame.origin)
+        is_ground = (is_ground & (forced != FORCED_OFF)) | (forced == FORCED_ON)
+    return block, classes, is_ground
+
+
 def _objects(store: TileStore, rule: GroundRule, bounds: Bounds) -> npt.NDArray[np.int32]:
     """Points that are neither ground nor noise, as far around ``bounds`` as they have a say."""
-    wide, is_ground = bounds.pad(math.ceil(rule.erode)), rule.is_ground()
+    wide = bounds.pad(math.ceil(rule.erode))
     parts = [np.empty((3, 0), np.int32)]
     for cell in store.buckets_within(wide):
         block, chosen = surface_points(store, rule, cell)
-        column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
-        chosen &= ~is_ground[_there(column, store, cell)]
+        chosen &= ~read_classes(store, rule, cell)[2]
         chosen &= block.inside(wide, store.meta.frame.origin)
         parts.append(block.xyz[:, chosen])
     return np.concatenate(parts, axis=1)

@@ -15,7 +15,7 @@ from scipy import ndimage
 from ptd.tin import Tin, rasterise
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid.block import heights_in_units, pixels_of
+from tiler.grid.block import edit_heights, heights_in_units, pixels_of
 from tiler.grid.checksum import checksum
 from tiler.grid.survey import CHUNK, Bools, block_runs, blocks_of, coarse_cells, coarse_values, covered
 from tiler.store import TileStore, open_store
@@ -106,6 +106,7 @@ def fill_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
             rim = _rim(store, args, coarse, spec, number, Block(*cells))
             raster = rasterise(Tin.build(*rim), pixels_of(spec, block, store.meta.frame.origin))
             heights = np.where(inside, heights_in_units(raster), heights)
+    edit_heights(store, args.get("edits"), spec, block, heights)
     store.write_block(args["name"], block, heights)
     after = int(np.count_nonzero(heights != np.float32(NODATA)))
     return {"pixels": heights.size, "filled": after, "added": after - before, "checksum": checksum(heights)}

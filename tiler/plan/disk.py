@@ -59,7 +59,7 @@ def projected_disk(plan: Plan) -> dict[str, int]:
     Rasters are reckoned as if every pixel of a block near points held a value.
     """
     pixels = pixels_of(plan)
-    names = {"dtm", *plan.config.products}
+    names = {"dtm", *plan.config.exported}
     sizes = [4 if PRODUCTS[name].dtype == "float32" else 1 for name in names]
     labels = max(sum(not step.elected for step in plan.passes) - 1, 0)
     workers = min(plan.workers, len(names)) if plan.config.sheets is None else plan.workers
@@ -94,7 +94,7 @@ def too_much_between(plan: Plan, out: Path | None) -> str | None:
     pixels = pixels_of(plan)
     if plan.config.sheets is not None or pixels.empty <= pixels.filled:
         return None
-    empty = pixels.empty * EMPTY_PIXEL_BYTES * (len(plan.config.products) + COPIES)
+    empty = pixels.empty * EMPTY_PIXEL_BYTES * (len(plan.config.exported) + COPIES)
     free = None
     with suppress(OSError):  # `refuse` tells what is wrong with the folder
         free = None if out is None else free_bytes(out)

@@ -26,6 +26,7 @@ from tiler.plan import advice, sizes
 from tiler.plan.area import area_of, part_of
 from tiler.plan.crowd import Crowd
 from tiler.plan.disk import emptiness_warning, too_much_between
+from tiler.plan.drawings import with_drawings
 from tiler.plan.far import LeftOut, beyond_frame, minority
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
 from tiler.plan.model import KEEP, Plan
@@ -78,6 +79,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     while remedy := too_much_between(plan, folder):
         found = _without(found, minority(plan.filled, agreement.wkt, metres, remedy), config)
         plan = _settled(found, config, parameters, defaults)
+    plan = with_drawings(plan)
     refuse(plan, folder)
     if out is not None:
         refuse_targets(plan, str(out), paths)

@@ -10,6 +10,8 @@ from typing import Any
 
 from tiler.config import RunConfig
 from tiler.core.area import Area, Runs
+from tiler.core.breaklines import Counts
+from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds
 from tiler.grid import SMALLEST_PART
 from tiler.ingest import SourceInfo, claimed_bounds
@@ -65,6 +67,10 @@ class Plan:
         Of each source's classified file, below OUT/classified.
     statistics : dict or None
         State after each pass, by its name, of the earlier run that ``--statistics`` names.
+    edits : tuple of Edit
+        Corrections, in the order of their file.
+    lines : tuple of int64 (n, 3)
+        Vertices of breaklines, absolute counts.
     """
 
     config: RunConfig
@@ -89,6 +95,8 @@ class Plan:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = field(default=())
     statistics: dict[str, Any] | None = None
+    edits: tuple[Edit, ...] = ()
+    lines: tuple[Counts, ...] = ()
 
     @property
     def filled(self) -> list[SourceInfo]:

@@ -52,7 +52,7 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
 
 def projected_seconds(plan: Plan) -> tuple[float, bool]:
     """Seconds of the whole job, and whether all of it rests on earlier runs of this machine."""
-    products = dict.fromkeys(("dtm", *plan.config.products))
+    products = dict.fromkeys(("dtm", *plan.config.exported))
     known = _read()
     filters = {f"filter{number}": step for number, step in enumerate(plan.passes)}
     # Of passes that do not always apply those count that earlier runs did, if they did any.

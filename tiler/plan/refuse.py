@@ -75,12 +75,17 @@ def _overlap(bounds: Sequence[Sequence[float]], metres: float, tile: float, halo
     return found
 
 
+def read_besides(config: RunConfig) -> list[str]:
+    """Files that a run reads besides its clouds."""
+    return [*(name for name in (config.aoi, config.edits) if name is not None), *config.breaklines]
+
+
 def refuse_places(config: RunConfig, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError where folders of a run lie where its inputs are, or the store where its files go."""
     for name in (CLASSIFIED, ASIDE):
         check_folder("-o", joined(products, name), paths)
     store = config.store or joined(products, STORE)
-    check_folder("--store", store, [products, *paths, *([config.aoi] if config.aoi is not None else [])])
+    check_folder("--store", store, [products, *paths, *read_besides(config)])
     for name in (CLASSIFIED, ASIDE, *config.exported):
         check_folder("-o", joined(products, name), [store])
 
@@ -89,11 +94,12 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError where a run would write over what it reads, or over files that no run of its OUT made."""
     exported, sheets, out = plan.config.exported, plan.config.sheets is not None, folder_here(products)
     wanted = [f"{name}.{'vrt' if sheets else 'tif'}" for name in exported]
+    wanted += [f"{name}.gpkg" for name in plan.config.drawn]
     if plan.config.method != KEEP:
         wanted += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
     places = [joined(products, name) for name in wanted]
     places += [joined(place, name) for place in (str(out), products) for name in (RUN, EVENTS, REPORT)]
-    reads: list[str | Path] = [*paths, *([plan.config.aoi] if plan.config.aoi is not None else [])]
+    reads: list[str | Path] = [*paths, *read_besides(plan.config)]
     check_targets([Target("-o", place) for place in places], reads)
     if plan.config.force:
         return

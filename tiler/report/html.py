@@ -17,6 +17,7 @@ from tiler.io.locations import joined, partial_path, state_at
 from tiler.io.result_folder import REPORT
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import Node, el, section
+from tiler.report.drawn import drawn
 from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
 
@@ -94,6 +95,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
         sections.terrain_map(pictures),
         section("accuracy", "Accuracy", *accuracy.accuracy_content(check, evaluation)),
         sections.decisions(run),
+        *drawn(run),
         tables.counts(run),
         tables.outputs(run),
         tables.inputs(run),

@@ -16,7 +16,10 @@ from tiler.schedule import Machine
 from tiler.store import open_store
 from tiler.version import __version__
 
-LIBRARIES = ("numpy", "scipy", "numba", "zarr", "laspy", "lazrs", "rasterio", "pyproj", "distributed")
+LIBRARIES = (
+    "numpy", "scipy", "numba", "zarr", "laspy", "lazrs", "rasterio", "pyproj", "shapely", "pyogrio", "contourpy",
+    "distributed",
+)  # fmt: skip
 """Libraries on whose versions the bytes of a result depend, or whether client and workers understand each other."""
 
 LOOKED_AT = 20

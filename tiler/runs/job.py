@@ -27,7 +27,20 @@ from tiler.schedule import Outcome, Task
 from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore, store_exists
 from tiler.version import __version__
 
-LIBRARIES = ("numpy", "numba", "scipy", "laspy", "lazrs", "zarr", "dask", "rasterio", "pyproj")
+LIBRARIES = (
+    "numpy",
+    "numba",
+    "scipy",
+    "laspy",
+    "lazrs",
+    "zarr",
+    "dask",
+    "rasterio",
+    "pyproj",
+    "shapely",
+    "pyogrio",
+    "contourpy",
+)
 
 PACKED_COMMITS = 256
 """From so many commits on, a stage packs them into one object when it ends: each costs a request to read."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tiler.core.lattice import Cell
+from tiler.core.products import CONTOURS
 from tiler.errors import ProcessingError, refused_write
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.result_folder import below
@@ -12,50 +13,73 @@ from tiler.plan import KEEP
 from tiler.runs.job import Job
 from tiler.schedule import Task, digest_of
 from tiler.stages.changed_outputs import take_back_spoilt
+from tiler.stages.corrections import Corrections
+from tiler.stages.drawn_tasks import drawn_tasks
 from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks
 from tiler.stages.gridding import Gridding
 from tiler.stages.outdated import put_aside
 from tiler.stages.tasks import Source, area_key, classified_tasks
 from tiler.store import Commits
 
-RASTERS = (".tif", ".vrt")
-"""Files of rasters among what is written; their tasks have the names of the files as keys."""
+PRODUCTS = (".tif", ".vrt", ".gpkg")
+"""Files of products among what is written; their tasks have the names of the files as keys."""
 
 
 def export(
-    job: Job, gridding: Gridding, sources: list[Source], spooled: Commits, labels: dict[Cell, str]
+    job: Job,
+    gridding: Gridding,
+    sources: list[Source],
+    spooled: Commits,
+    labels: dict[Cell, str],
+    corrections: Corrections,
 ) -> None:
     """The files that people open."""
     out, config = job.products, job.plan.config
     digest = digest_of(sorted(source.content for source in sources))
-    tasks = list(cog_tasks(gridding, Inputs.of(sources, spooled), digest, out))
+    tasks = [*cog_tasks(gridding, Inputs.of(sources, spooled), digest, out), *drawn_tasks(gridding, out)]
     for folder in {task.arguments["out"] for task in tasks if not is_url(out)}:
         try:
             Path(folder).mkdir(exist_ok=True)
         except OSError as error:
             raise refused_write(folder, error, Path(out)) from error
     if config.method != KEEP:
-        tasks += classified_tasks(job.plan, sources, spooled, labels, out)
+        tasks += corrections.of_clouds(classified_tasks(job.plan, sources, spooled, labels, out))
     mosaics = list(mosaic_tasks(gridding, digest, out))
     basis = _basis(gridding)
     written = {key: below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
     put_aside(job, written.values(), basis)
-    rasters = _write(job, "export", tasks, out)
+    products = _write(job, "export", tasks, out)
+    _tell_of_contours(job)
     if mosaics or job.store.committed("mosaic"):
-        rasters &= _write(job, "mosaic", mosaics, out)
+        products &= _write(job, "mosaic", mosaics, out)
     if gridding.plan.area is not None:
         made = job.store.committed("export")
         terrain = [task.key for task in tasks if task.arguments.get("product") == "dtm"]
         job.facts["dtm"]["filled"] = sum(made[key][1]["valid"] for key in terrain if key in made)
-    job.facts["made_of"] |= {path: basis for key, path in written.items() if key.endswith(RASTERS)}
+    job.facts["made_of"] |= {path: basis for key, path in written.items() if key.endswith(PRODUCTS)}
     unwritten = [path for path in written.values() if path not in job.facts["outputs"]]
     sizes = sizes_at([joined(out, path) for path in unwritten])  # of an earlier run, where a task failed
     job.facts["earlier_outputs"] = {
         p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
     }
     _refuse_removed(job)
-    if not rasters:
+    if not products:
         raise ProcessingError(f"{job.failed[-1]['key']} could not be written: {job.failed[-1]['error']}")
+
+
+def _tell_of_contours(job: Job) -> None:
+    found = job.store.committed("export").get(f"{CONTOURS}.gpkg")
+    if CONTOURS not in job.plan.config.drawn or found is None:
+        return
+    record = found[1]
+    job.facts["contours"] = {name: record[name] for name in ("interval", "lines", "vertices", "cut")}
+    if job.plan.config.contour_interval is None and record["low"] is not None:
+        job.note(
+            f"decided: contours every {record['interval']:g}, in the unit of the heights, for terrain between "
+            f"{record['low']:.1f} and {record['high']:.1f} (--contour-interval)"
+        )
+    if record["cut"]:
+        job.note(f"{record['cut']} contour lines are cut in two: whole they would need more memory")
 
 
 def _refuse_removed(job: Job) -> None:
@@ -81,13 +105,13 @@ def _basis(gridding: Gridding) -> str:
 def _files(tasks: list[Task]) -> dict[str, str]:
     """What each task writes, by path or URL."""
     return {
-        t.key: joined(t.arguments["out"], t.key) if t.key.endswith(RASTERS) else t.arguments["out"]
+        t.key: joined(t.arguments["out"], t.key) if t.key.endswith(PRODUCTS) else t.arguments["out"]
         for t in tasks
     }
 
 
 def _write(job: Job, stage: str, tasks: list[Task], out: str) -> bool:
-    """Write files that are not there, or not as they were written; whether all rasters among them are."""
+    """Write files that are not there, or not as they were written; whether all products among them are."""
     files = _files(tasks)
     take_back_spoilt(job, stage, files)
     written = job.perform(stage, tasks, writes_out=True)
@@ -98,4 +122,4 @@ def _write(job: Job, stage: str, tasks: list[Task], out: str) -> bool:
     for _, record in written.values():
         for text in record.get("notes", ()):
             job.note(text)
-    return all(key in written for key in files if key.endswith(RASTERS))
+    return all(key in written for key in files if key.endswith(PRODUCTS))

@@ -22,6 +22,7 @@ from tiler.plan.advice import roofs_in_terrain
 from tiler.runs.job import Job
 from tiler.runs.worker import compute
 from tiler.schedule import Task, digest_of
+from tiler.stages.corrections import Corrections, tell_of_pixels
 from tiler.stages.gridding import Gridding, Raster
 from tiler.stages.raster_table import wanted
 from tiler.stages.raster_tasks import WHOLE
@@ -35,14 +36,16 @@ BLANK_BLOCKS = 256
 """Blocks of an earlier run that one task removes."""
 
 
-def grid(job: Job, assembled: Assembled, labels: dict[Cell, str]) -> Gridding:
+def grid(job: Job, assembled: Assembled, labels: dict[Cell, str], corrections: Corrections) -> Gridding:
     """All rasters that the products need, block by block."""
     _settle_surface(job)
     gridding = Gridding(job.plan, assembled, labels, _holes(job))
     for raster in wanted(job.plan.config):
-        name, tasks = raster.name, list(raster.tasks(raster, gridding))
+        name = raster.name
+        tasks = corrections.of_rasters(job.plan, name, raster.tasks(raster, gridding))
         gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks)
         if name == "dtm":
+            tell_of_pixels(job, gridding.made[name])
             _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
             _advise(job, gridding.spec, gridding.made[name])
     if "dsm" in gridding.made:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from tiler.core.area import Area
+from tiler.core.breaklines import Breaklines
+from tiler.core.edits import Edits
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
@@ -18,6 +20,8 @@ from tiler.store import arrays, commits, elected, index, layout, lock, points, r
 from tiler.store.index import Bucket, BucketIndex, BucketInfo
 from tiler.store.meta import StoreMeta
 from tiler.store.storage import Storage, Usage
+
+Kept = TypeVar("Kept")
 
 
 class TileStore:
@@ -44,7 +48,7 @@ class TileStore:
         self._labels: dict[str, arrays.ZarrArray] = {}
         self._elected: dict[str, arrays.ZarrArray] = {}
         self._rasters: dict[str, arrays.ZarrArray] = {}
-        self._areas: dict[str, Area] = {}
+        self._states: dict[str, Any] = {}
 
     # --- commits and state
 
@@ -78,14 +82,34 @@ class TileStore:
 
     def area(self, key: str | None) -> Area | None:
         """The area kept under a key; None without a key. StoreError where it is gone."""
-        if key is None:
-            return None
-        if key not in self._areas:
-            found = self.get_state(f"area-{key}")
+        return None if key is None else self._kept(f"area-{key}", Area.from_json)
+
+    def put_edits(self, edits: Edits) -> None:
+        """Keep corrections under their key."""
+        self.put_state(f"edits-{edits.key}", edits.to_json())
+
+    def edits(self, key: str, bounds: Bounds, actions: Iterable[str]) -> Edits | None:
+        """Those of the corrections kept under a key that are of some actions and touch the bounds; None for none."""
+        found = self._kept(f"edits-{key}", Edits.from_json).near(bounds, actions)
+        return found if found.edits else None
+
+    def put_breaklines(self, lines: Breaklines) -> None:
+        """Keep breaklines under their key."""
+        self.put_state(f"breaklines-{lines.key}", lines.to_json())
+
+    def breaklines(self, key: str) -> Breaklines:
+        """The breaklines kept under a key."""
+        return self._kept(f"breaklines-{key}", Breaklines.from_json)
+
+    def _kept(self, name: str, read: Callable[[Any], Kept]) -> Kept:
+        """What was put as a state, read once; StoreError where it is gone."""
+        if name not in self._states:
+            found = self.get_state(name)
             if found is None:
-                raise StoreError(f"area {key}: not in {self.url}; run again")
-            self._areas[key] = Area.from_json(found)
-        return self._areas[key]
+                raise StoreError(f"{name}: not in {self.url}; run again")
+            self._states[name] = read(found)
+        kept: Kept = self._states[name]
+        return kept
 
     def get_state(self, name: str) -> Any:
         """The value kept under a name; None where there is none."""

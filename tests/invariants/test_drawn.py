@@ -1,0 +1,302 @@
+"""What people draw: breaklines and corrections that a run takes up, and contours and spots that it draws itself."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+
+from tests.invariants import clouds
+from tests.invariants.clouds import CORNER, Cloud
+from tests.invariants.runs import computed, do, settings
+from tiler.core.products import NODATA
+from tiler.errors import ConfigError, InputError
+from tiler.plan import make_plan
+
+EAST, NORTH = CORNER
+PIXEL = 0.4  # of runs on the town
+Features = list[tuple[Any, dict[str, Any]]]
+
+
+def draw(path: Path, features: Features) -> str:
+    """A file of features in metres from `CORNER`."""
+    found = [
+        {"type": "Feature", "properties": columns, "geometry": shapely.geometry.mapping(shapely.transform(
+            shape, lambda xyz: xyz + np.array([EAST, NORTH, 0])[: xyz.shape[1]], include_z=shape.has_z))}
+        for shape, columns in features
+    ]  # fmt: skip
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}}
+    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": found}))
+    return str(path)
+
+
+def pixels(out: Path) -> np.ndarray:
+    """Heights of the DTM, rows from the south, columns from the west, both from `CORNER` on."""
+    with rasterio.open(out / "dtm.tif") as raster:
+        size, bounds = raster.res[0], raster.bounds
+        south, west = round((bounds.bottom - NORTH) / size), round((bounds.left - EAST) / size)
+        return np.pad(raster.read(1)[::-1], ((south, 0), (west, 0)), constant_values=NODATA)
+
+
+def digests(out: Path) -> dict[str, str]:
+    files = [*out.glob("*.tif"), *out.glob("*.gpkg"), *out.glob("classified/*")]
+    return {f.name: hashlib.blake2b(f.read_bytes()).hexdigest() for f in sorted(files)}
+
+
+def ground(heights: Any, side: float = 60.0, number: int = 12_000, seed: int = 3) -> Cloud:
+    """Points of class 2 on a surface, whole millimetres."""
+    xy = np.round(np.random.default_rng(seed).uniform(0, side, (number, 2)), 3)
+    xyz = np.column_stack((xy, np.round(heights(*xy.T), 3)))
+    return Cloud(xyz, np.full(number, 2, np.uint8))
+
+
+def written(path: Path, cloud: Cloud) -> Path:
+    return clouds.write(path, cloud, classes=cloud.truth)
+
+
+# --- breaklines
+
+
+def wall(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A retaining wall of 3 m along x = 30.2 m."""
+    return 100 + 0.05 * y + np.where(x > 30.2, 3.0, 0.0)
+
+
+def lines_of_wall() -> Features:
+    top = shapely.LineString([(30.22, 0, 103), (30.22, 60, 106)])
+    foot = shapely.LineString([(30.18, 60, 103), (30.18, 0, 100)])
+    return [(top, {}), (foot, {})]
+
+
+def test_a_wall_is_sharp_within_a_pixel(tmp_path: Path) -> None:
+    cloud = written(tmp_path / "wall.laz", ground(wall, number=8_000))
+    do(cloud, tmp_path / "plain", method="keep", resolution="0.5")
+    do(
+        cloud,
+        tmp_path / "drawn",
+        method="keep",
+        resolution="0.5",
+        breaklines=draw(tmp_path / "l.json", lines_of_wall()),
+    )
+    y, x = (np.mgrid[4:116, 56:65] + 0.5) / 2
+    errors = [
+        np.sqrt(((pixels(tmp_path / out)[4:116, 56:65] - wall(x, y)) ** 2).mean())
+        for out in ("plain", "drawn")
+    ]
+    assert errors[0] > 0.25
+    assert errors[1] < 0.002
+
+
+def test_a_plane_stays_one(tmp_path: Path) -> None:
+    def plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 50 + x / 4 - y / 8
+
+    def line(*places: tuple[float, float]) -> shapely.LineString:
+        return shapely.LineString([(x, y, plane(np.float64(x), np.float64(y))) for x, y in places])
+
+    cloud = ground(plane)
+    cloud.xyz[:] = np.round(cloud.xyz / 0.008) * 0.008  # heights are whole millimetres
+    cloud.xyz[:, 2] = plane(cloud.xyz[:, 0], cloud.xyz[:, 1])
+    ring = shapely.Polygon([(*p, plane(*np.array(p))) for p in ((8, 8), (24, 8), (24, 40), (8, 40))])
+    drawn = [(line((0, 4), (56, 4), (56, 52)), {}), (line((4, 56), (20, 40), (52, 8)), {}), (ring, {})]
+    do(
+        written(tmp_path / "plane.laz", cloud), tmp_path / "out", method="keep",
+        breaklines=draw(tmp_path / "l.json", drawn),
+    )  # fmt: skip
+    y, x = np.mgrid[1:58, 1:58] + 0.5
+    assert np.abs(pixels(tmp_path / "out")[1:58, 1:58] - plane(x, y)).max() < 1.1e-3
+
+
+def test_a_2d_line_takes_the_height_of_its_column(tmp_path: Path) -> None:
+    cloud = written(tmp_path / "flat.laz", ground(lambda x, y: 0 * x + 20))
+    crest = draw(tmp_path / "l.json", [(shapely.LineString([(10.5, 20.5), (40.5, 20.5)]), {"z": 22.5})])
+    do(cloud, tmp_path / "out", method="keep", breaklines=crest)
+    assert pixels(tmp_path / "out")[20, 11:40] == pytest.approx(22.5, abs=0.001)
+    assert pixels(tmp_path / "out")[17, 11:40] == pytest.approx(20, abs=0.001)
+
+
+# --- all of it, on a town
+
+
+def drawings(folder: Path) -> dict[str, str]:
+    """Settings of a run that takes up and draws everything."""
+    folder.mkdir(exist_ok=True)
+    lines = [(shapely.LineString([(20, 30, 108), (90, 120, 109), (150, 40, 110)]), {})]
+    edits = [
+        (shapely.box(60, 60, 100, 90), {"action": "not_ground", "z": None}),
+        (shapely.box(70, 70, 80, 75), {"action": "ground", "z": None}),
+        (shapely.box(120, 20, 140, 50), {"action": "void", "z": None}),
+        (shapely.Polygon([(20, 150), (60, 150), (20, 180)]), {"action": "flat", "z": 104.25}),
+    ]
+    return {
+        "breaklines": draw(folder / "lines.json", lines), "edits": draw(folder / "edits.json", edits),
+        "products": "dtm,mask,contours,spots", "contour_interval": "0.5", "contour_smooth": "0",
+        "resolution": str(PIXEL),
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """OUT of a run with drawings. Not to be changed."""
+    folder = tmp_path_factory.mktemp("drawn")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
+        do(quarter_files, folder / "out", **drawings(folder / "in"))
+    return folder / "out"
+
+
+@pytest.mark.parametrize("tile", ["96", pytest.param("32", marks=pytest.mark.slow)])
+def test_neither_tiles_nor_buckets_nor_order_show(
+    tile: str, made: Path, quarter_files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 4000)
+    do(quarter_files[::-1], tmp_path / "out", tile_size=tile, **drawings(tmp_path / "in"))
+    assert digests(tmp_path / "out") == digests(made)
+
+
+def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_path: Path) -> None:
+    fine = {"resolution": "0.25", "max_edge": "2"}
+    plain = do(quarter_files, tmp_path / "out", **fine)
+    before = digests(tmp_path / "out")
+    edits = draw(tmp_path / "e.json", [(shapely.box(165, 150, 185, 170), {"action": "not_ground"})])
+    again = do(quarter_files, tmp_path / "out", **fine, edits=edits)
+    assert plain.exit_code == again.exit_code == 0
+    done = {stage: n for stage, n in computed(again).items() if n}
+    assert done == {
+        "edits": 1,
+        "grid-dtm": 1,
+        "export": 2,
+    }  # one of four blocks; the raster and one of four clouds
+    changed = {name for name, digest in digests(tmp_path / "out").items() if digest != before[name]}
+    assert changed == {"dtm.tif", "ne.laz"}
+    (fact,) = again.summary["edits"]
+    assert fact["ground_before"] > 0 == fact["ground_after"]
+    assert do(quarter_files, tmp_path / "out", **fine, edits=edits).did_nothing
+
+
+def test_classes_and_heights_follow_edits(made: Path) -> None:
+    las = [laspy.read(path) for path in sorted(made.glob("classified/*.laz"))]
+    x, y, c = (np.concatenate([np.asarray(getattr(f, n)) for f in las]) for n in ("x", "y", "classification"))
+    x, y = x - EAST, y - NORTH
+    out = (x >= 60) & (x < 100) & (y >= 60) & (y < 90)
+    back = (x >= 70) & (x < 80) & (y >= 70) & (y < 75)
+    assert not (c[out & ~back] == 2).any()
+    assert (c[out & back] == 2).any()
+    summary = json.loads((made / "run.json").read_text())
+    assert [e["action"] for e in summary["edits"]] == ["not_ground", "ground", "void", "flat"]
+    assert summary["edits"][1]["by"] == "lowest points"
+    heights = pixels(made)
+    rows, cols = (np.arange(n) * PIXEL + PIXEL / 2 for n in heights.shape)
+    void = np.ix_((rows > 20) & (rows < 50), (cols > 120) & (cols < 140))
+    assert (heights[void] == NODATA).all()
+    assert summary["edits"][2]["pixels"] == heights[void].size
+    flat = (rows[:, None] > 150) & (cols > 20) & (rows[:, None] - 150 < 30 * (1 - (cols - 20) / 40) - 0.01)
+    assert (heights[flat] == 104.25).all()
+    page = (made / "report.html").read_text()
+    assert "4 corrections" in page
+    assert "Breaklines" in page
+
+
+def test_contours_agree_with_the_terrain_and_neither_cross_nor_break(made: Path) -> None:
+    meta, _, shapes, (elevation, index) = pyogrio.raw.read(made / "contours.gpkg")
+    lines = shapely.from_wkb(shapes)
+    assert meta["crs"] == "EPSG:32632"
+    assert meta["geometry_type"] == "LineString"
+    assert list(meta["fields"]) == ["elevation", "index"]
+    assert json.loads((made / "run.json").read_text())["contours"]["lines"] == len(lines) > 10
+    assert (index == (np.round(elevation / 0.5) % 5 == 0)).all()
+    assert all(shapely.is_simple(lines))
+    one, other = shapely.STRtree(lines).query(lines, predicate="intersects")
+    assert (one == other).all()
+    heights = pixels(made).astype(np.float64)
+    known = np.pad(heights != NODATA, 1)
+    for line, height in zip(lines, elevation, strict=True):
+        col, row = (shapely.get_coordinates(line) - CORNER).T / PIXEL - 0.5
+        i, j = np.floor(row + 1e-9).astype(int), np.floor(col + 1e-9).astype(int)
+        u, v = row - i, col - j
+        i1, j1 = (
+            np.minimum(i + (u > 1e-6), len(heights) - 1),
+            np.minimum(j + (v > 1e-6), heights.shape[1] - 1),
+        )
+        found = heights[i, j] * (1 - u) * (1 - v) + heights[i1, j] * u + heights[i, j1] * v
+        found += heights[i, j] * u * v  # one of u and v is 0
+        assert found == pytest.approx(height, abs=0.01)
+        if not line.is_closed:  # ends lie at the border of the raster or of the void
+            for r, c in ((row[0], col[0]), (row[-1], col[-1])):
+                near = known[round(r) : round(r) + 3, round(c) : round(c) + 3]
+                assert not near.all()
+
+
+def test_spots_are_tops_and_bottoms(made: Path) -> None:
+    _, _, shapes, (elevation, kind) = pyogrio.raw.read(made / "spots.gpkg")
+    assert {"high", "low"} >= set(kind) != set()
+    heights = pixels(made)
+    for shape, height, sort in zip(shapely.from_wkb(shapes), elevation, kind, strict=True):
+        col, row = ((shapely.get_coordinates(shape)[0] - CORNER) / PIXEL).astype(int)
+        near = heights[max(row - 125, 0) : row + 126, max(col - 125, 0) : col + 126]
+        near = near[near != NODATA]
+        assert heights[row, col] == np.float32(height)
+        assert height == pytest.approx((near.max if sort == "high" else near.min)())
+
+
+# --- what is refused
+
+LINE = shapely.LineString([(0, 0), (5, 5)])
+BOX = shapely.box(0, 0, 5, 5)
+
+
+@pytest.mark.parametrize(
+    ("option", "features", "told"),
+    [
+        ("breaklines", [(LINE, {})], "has no heights; draw it in 3D, or give it a column `z`"),
+        (
+            "edits",
+            [(BOX, {"action": "roof"})],
+            "its action is 'roof'; write one of not_ground, ground, void, flat into",
+        ),
+        ("edits", [(BOX, {"name": "x"})], "has no `action`; write one of"),
+        (
+            "edits",
+            [(BOX, {"action": "flat"})],
+            "is flat without a height; write it, in the unit of the heights, into",
+        ),
+        ("edits", [(LINE, {"action": "void"})], "needs one layer of polygons, has 0"),
+    ],
+)
+def test_one_line_says_what_is_wrong(
+    option: str, features: Features, told: str, city_file: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError) as caught:
+        do(city_file, tmp_path / "out", **{option: draw(tmp_path / "drawn.json", features)})
+    assert told in str(caught.value)
+    assert str(caught.value).startswith(f"{tmp_path}/drawn.json: ")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_breaklines_and_idw_are_refused(city_file: Path, tmp_path: Path) -> None:
+    lines = draw(tmp_path / "l.json", lines_of_wall())
+    with pytest.raises(ConfigError, match="idw does not follow lines"):
+        do(city_file, tmp_path / "out", breaklines=lines, interpolation="idw")
+
+
+def test_contours_of_others_are_not_replaced(city_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "contours.gpkg").write_text("mine")
+    with pytest.raises(ConfigError, match="contours.gpkg: there already"):
+        do(city_file, tmp_path / "out", products="contours")
+    assert (tmp_path / "out" / "contours.gpkg").read_text() == "mine"
+
+
+def test_drawings_outside_of_the_survey_are_warned_of(city_file: Path, tmp_path: Path) -> None:
+    edits = draw(tmp_path / "e.json", [(shapely.box(900, 0, 905, 5), {"action": "void"})])
+    warnings = make_plan([str(city_file)], settings(edits=edits)).warnings
+    assert any(f"{edits}: 1 of 1 features lie outside of the survey" in text for text in warnings)

@@ -1,0 +1,195 @@
+"""Contours and spot heights of the terrain as GeoPackages, drawn block by block from the raster in the store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.area import Area
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.export.contour_lines import Joiner, contour_block, default_interval, smoothed, smoothing_reach
+from tiler.export.spots import HIGH, LOW, spots_of_block
+from tiler.io.locations import cloud_path, digest_of_file, folder_for, joined, state_of
+from tiler.io.vector import GeoPackage, geopackage
+from tiler.store import TileStore, open_store
+
+Floats = npt.NDArray[np.float64]
+
+BLOCK = 1024
+"""Pixels a side that are looked at at a time; which they are does not show in the lines."""
+INDEX_EVERY = 5
+"""Every which level is an index contour."""
+BATCH = 500_000
+"""Vertices that are written at once."""
+
+
+@dataclass(frozen=True)
+class _Terrain:
+    """Heights of a raster of the store, as far as they are wanted."""
+
+    store: TileStore
+    raster: str
+    spec: RasterSpec
+    area: Area | None
+
+    def heights(self, block: Block) -> Floats:
+        """Units of the CRS; NaN where there is none, or outside of the area."""
+        values = self.store.read_block(self.raster, block)
+        wanted = (values != np.float32(NODATA)) & self.spec.inside(block, self.area)
+        return np.where(wanted, values.astype(np.float64), np.nan)
+
+    def around(self, block: Block, reach: int) -> tuple[Floats, int, int]:
+        """Heights of a block with up to ``reach`` pixels on each side, and where the block begins in them."""
+        top, left = max(block.row - reach, 0), max(block.col - reach, 0)
+        bottom = min(block.row + block.height + reach, self.spec.height)
+        right = min(block.col + block.width + reach, self.spec.width)
+        return self.heights(Block(top, left, bottom - top, right - left)), block.row - top, block.col - left
+
+    def relief(self) -> tuple[float, float]:
+        """Lowest and highest height; NaN where there is none."""
+        low, high = np.nan, np.nan
+        for block in self.spec.blocks(BLOCK):
+            heights = self.heights(block)
+            if not np.isnan(heights).all():
+                low, high = np.fmin(low, np.nanmin(heights)), np.fmax(high, np.nanmax(heights))
+        return float(low), float(high)
+
+    def places(self, pixels: Floats) -> Floats:
+        """Coordinates of places (column, row) in pixels from the centre of the first one."""
+        size = float(self.spec.lattice.size / COUNTS_PER_UNIT)
+        x, y = pixels.T + 0.5
+        return np.stack(((self.spec.west + x) * size, (self.spec.north - y) * size), axis=1)
+
+
+def write_contours(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write contour lines as ``<out>/contours.gpkg``; a `tiler.schedule.task.Work`.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``raster``: of heights in the store. ``spec``: its `RasterSpec` as JSON. ``out``: folder that exists, or a URL.
+        ``interval``: in vertical units of the CRS, as a fraction in text; None: by the relief. ``sigma``: pixels, of
+        the Gaussian that smooths the heights beforehand. ``area``: key in the store of the area that is wanted.
+
+    Returns
+    -------
+    dict
+        ``path``, ``bytes``, ``digest``, ``state``; ``interval`` (units of the CRS), ``lines``, ``vertices``, ``cut``
+        (lines that were divided, as too many vertices were waiting), ``low``, ``high`` (of the terrain, or None).
+    """
+    terrain = _terrain(store_url, args)
+    low, high = terrain.relief()
+    interval = default_interval(high - low) if args["interval"] is None else Fraction(args["interval"])
+    joiner, counts = Joiner(), np.zeros(2, np.int64)
+
+    def fill(file: GeoPackage) -> None:
+        waiting: list[tuple[int, Floats]] = []
+        vertices = 0
+        for line in _lines(terrain, interval, float(args["sigma"]), joiner):
+            waiting.append(line)
+            counts[:] += 1, len(line[1])
+            vertices += len(line[1])
+            if vertices > BATCH:
+                _add_lines(file, terrain, interval, waiting)
+                waiting, vertices = [], 0
+        _add_lines(file, terrain, interval, waiting)
+
+    return {
+        **_written(terrain, args["out"], "contours", fill),
+        "interval": float(interval), "lines": int(counts[0]), "vertices": int(counts[1]), "cut": joiner.cut,
+        "low": None if np.isnan(low) else low, "high": None if np.isnan(high) else high,
+    }  # fmt: skip
+
+
+def _lines(
+    terrain: _Terrain, interval: Fraction, sigma: float, joiner: Joiner
+) -> Iterator[tuple[int, Floats]]:
+    """Whole lines: level, and places in pixels."""
+    spec, reach = terrain.spec, smoothing_reach(sigma)
+    for row in range(0, spec.height, BLOCK):
+        for col in range(0, spec.width, BLOCK):
+            # With the first row and column of the blocks beside it, as lines run between pixel centres.
+            block = Block(row, col, min(BLOCK + 1, spec.height - row), min(BLOCK + 1, spec.width - col))
+            heights, top, left = terrain.around(block, reach)
+            core = smoothed(heights, sigma)[top : top + block.height, left : left + block.width]
+            for piece in contour_block(core, interval, row, col):
+                yield from joiner.add(piece)
+        yield from joiner.end_row(row + BLOCK)
+
+
+def _add_lines(
+    file: GeoPackage, terrain: _Terrain, interval: Fraction, lines: list[tuple[int, Floats]]
+) -> None:
+    import shapely
+
+    levels = np.array([level for level, _ in lines], np.int64)
+    numbers = np.repeat(np.arange(len(lines)), [len(places) for _, places in lines])
+    places = np.concatenate([np.empty((0, 2)), *(places for _, places in lines)])
+    shapes = shapely.linestrings(terrain.places(places), indices=numbers) if lines else []
+    columns = {"elevation": levels * float(interval), "index": levels % INDEX_EVERY == 0}
+    file.add("contours", "LineString", shapes, columns)
+
+
+def write_spots(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Write the tops and bottoms of the terrain as points, ``<out>/spots.gpkg``; a `tiler.schedule.task.Work`.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``raster``, ``spec``, ``out``, ``area``: as those of `write_contours`. ``reach``: pixels around a spot in which
+        nothing is higher, or lower. ``interval``: as of the contours; by as much the terrain differs there.
+
+    Returns
+    -------
+    dict
+        ``path``, ``bytes``, ``digest``, ``state``, ``interval``, ``highs``, ``lows``.
+    """
+    terrain, reach = _terrain(store_url, args), int(args["reach"])
+    low, high = terrain.relief()
+    interval = default_interval(high - low) if args["interval"] is None else Fraction(args["interval"])
+    counts = {HIGH: 0, LOW: 0}
+
+    def fill(file: GeoPackage) -> None:
+        import shapely
+
+        for block in terrain.spec.blocks(BLOCK):
+            heights, top, left = terrain.around(block, 2 * reach)
+            for kind in counts:
+                rows, cols = spots_of_block(heights, kind, reach, float(interval))
+                mine = (
+                    (rows >= top) & (rows < top + block.height) & (cols >= left) & (cols < left + block.width)
+                )
+                rows, cols = rows[mine], cols[mine]
+                counts[kind] += len(rows)
+                pixels = np.stack((cols + block.col - left, rows + block.row - top), axis=1).astype(
+                    np.float64
+                )
+                columns = {"elevation": heights[rows, cols], "kind": np.full(len(rows), kind, object)}
+                file.add("spots", "Point", shapely.points(terrain.places(pixels)), columns)
+
+    record = _written(terrain, args["out"], "spots", fill)
+    return {**record, "interval": float(interval), "highs": counts[HIGH], "lows": counts[LOW]}
+
+
+def _terrain(store_url: str, args: dict[str, Any]) -> _Terrain:
+    store = open_store(store_url)
+    return _Terrain(store, args["raster"], RasterSpec.from_json(args["spec"]), store.area(args.get("area")))
+
+
+def _written(terrain: _Terrain, out: str, name: str, fill: Callable[[GeoPackage], None]) -> dict[str, Any]:
+    """Write a file; what its record says of it."""
+    with folder_for(out) as folder:
+        target: Path = folder / f"{name}.gpkg"
+        with geopackage(target, terrain.store.meta.frame.crs_wkt) as file:
+            fill(file)
+        record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
+    return {**record, "state": state_of(cloud_path(joined(out, target.name))).to_json()}

@@ -1,0 +1,62 @@
+"""What a correction of points finds inside: how many points were ground before it, and how many are after it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.classes import GROUND
+from tiler.core.edits import FORCED_OFF, FORCED_ON, TO_GROUND, Classes, Edit, Edits, can_be_ground
+from tiler.core.lattice import Cell, Lattice
+from tiler.core.points import PointBlock
+from tiler.grid.ground import GroundRule, read_classes
+from tiler.store import open_store
+
+
+def survey_edit(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+    """Count the points of one correction, as if there were no other; a `tiler.schedule.task.Work`.
+
+    Parameters
+    ----------
+    store_url : str
+    args : dict
+        ``labels``, ``classes``, ``skip_flags``: as those of `grid_block`. ``edit``: `Edit` as JSON. ``cell``: `Lattice`
+        as JSON, see `Edits`. ``cells``: buckets that it touches.
+
+    Returns
+    -------
+    dict
+        ``points`` inside; ``ground_before``, ``ground_after`` of them; ``lowest``: whether the lowest points are made
+        ground, as the input calls none ground (or its classes are the ones that are corrected).
+    """
+    store, rule = open_store(store_url), GroundRule.from_args({**args, "edits": None})
+    edit, cell = Edit.from_json(args["edit"]), Lattice.from_json(args["cell"])
+    origin = store.meta.frame.origin
+
+    def buckets() -> Iterator[tuple[PointBlock, Classes, npt.NDArray[np.bool_]]]:
+        return (read_classes(store, rule, Cell(*c), needs_input=True) for c in args["cells"])
+
+    lowest = edit.action == TO_GROUND and (
+        rule.labels is None
+        or not any(_given(edit, block, classes, origin) for block, classes, _ in buckets())
+    )
+    counts = np.zeros(3, np.int64)
+    edits = Edits((replace(edit, lowest=lowest),), cell)
+    for block, classes, is_ground in buckets():
+        x, y = (block.xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
+        inside, forced = edit.area.inside(x, y), edits.forced(block, classes, origin)
+        after = (is_ground & (forced != FORCED_OFF)) | (forced == FORCED_ON)
+        counts += [inside.sum(), (inside & is_ground).sum(), (inside & after).sum()]
+    points, before, after_it = counts.tolist()
+    return {"points": points, "ground_before": before, "ground_after": after_it, "lowest": lowest}
+
+
+def _given(edit: Edit, block: PointBlock, classes: Classes, origin: tuple[int, int]) -> bool:
+    """Whether the input calls a point inside ground."""
+    rows = np.flatnonzero((block.classification == GROUND) & can_be_ground(block, classes))
+    x, y = (block.xyz[axis][rows].astype(np.int64) + origin[axis] for axis in (0, 1))
+    return bool(edit.area.inside(x, y).any())

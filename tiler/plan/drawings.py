@@ -1,0 +1,95 @@
+"""What people drew for a run to take up: breaklines and corrections, read and judged before the first point is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.edits import ACTIONS, FLAT, Edit
+from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
+from tiler.errors import ConfigError, InputError
+from tiler.io.vector import LINES_AND_POLYGONS, POLYGONS, Feature, Features, Kind, read_in_crs, tell_outside
+from tiler.plan.area import area_in_counts
+from tiler.plan.model import Plan
+from tiler.schedule import read_apart
+
+Counts = npt.NDArray[np.int64]
+
+
+def with_drawings(plan: Plan) -> Plan:
+    """The plan with what the files of its configuration hold, and what is to be said of them.
+
+    Raises
+    ------
+    ConfigError
+        Breaklines would have no effect with the interpolation chosen.
+    InputError
+        A file cannot be used: one line that names it, the feature, and a remedy.
+    """
+    config = plan.config
+    notes, warnings = list(plan.notes), list(plan.warnings)
+    lines: list[Counts] = []
+    if config.breaklines and config.interpolation == "idw":
+        raise ConfigError("--breaklines: idw does not follow lines; use --interpolation linear")
+    for name in config.breaklines:
+        found = _read(plan, Path(name), LINES_AND_POLYGONS, True, notes, warnings)
+        lines += [_counts(feature, line) for feature in found.features for line in _lines(feature)]
+    edits: tuple[Edit, ...] = ()
+    if config.edits is not None:
+        found = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
+        edits = tuple(_edit(number, feature) for number, feature in enumerate(found.features, start=1))
+    return replace(plan, lines=tuple(lines), edits=edits, notes=tuple(notes), warnings=tuple(warnings))
+
+
+def _read(
+    plan: Plan, path: Path, kind: Kind, needs_z: bool, notes: list[str], warnings: list[str]
+) -> Features:
+    """Features of a file in the CRS of the run, read by a process of its own."""
+    wkt = plan.meta.frame.crs_wkt
+    if plan.config.in_process:
+        found = read_in_crs(path, kind, wkt, needs_z, needs_z)
+    else:
+        found = read_apart(read_in_crs, path, kind, wkt, needs_z, needs_z, paths=(path,))
+    notes += found.notes
+    x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
+    warnings += tell_outside(path, found, (x0, y0, x1, y1))
+    return found
+
+
+def _lines(feature: Feature) -> list[npt.NDArray[np.float64]]:
+    """Vertices x, y, z of the lines of a feature, and of the rings of its polygons."""
+    import shapely
+
+    parts = shapely.get_parts(feature.geometry)
+    rings = [shapely.get_rings(part) if part.geom_type == "Polygon" else [part] for part in parts]
+    return [shapely.get_coordinates(line, include_z=True) for of_part in rings for line in of_part]
+
+
+def _counts(feature: Feature, line: npt.NDArray[np.float64]) -> Counts:
+    if np.abs(line[:, 2]).max() * COUNTS_PER_UNIT > INT32_LIMIT:
+        raise InputError(
+            f"{feature.place}: a height of {line[np.abs(line[:, 2]).argmax(), 2]:g} is no terrain's"
+        )
+    return np.rint(line * COUNTS_PER_UNIT).astype(np.int64)
+
+
+def _edit(number: int, feature: Feature) -> Edit:
+    """An edit; raises InputError where its action is none, or its height is missing."""
+    action: Any = feature.attributes.get("action")
+    if not isinstance(action, str) or action.strip().lower() not in ACTIONS:
+        what = "has no `action`" if action is None else f"its action is {action!r}"
+        raise InputError(
+            f"{feature.place}: {what}; write one of {', '.join(ACTIONS)} into the column `action`"
+        )
+    action = action.strip().lower()
+    height = feature.height() if action == FLAT else None
+    if action == FLAT and (height is None or abs(height) * COUNTS_PER_UNIT > INT32_LIMIT):
+        raise InputError(
+            f"{feature.place}: is flat without a height; write it, in the unit of the heights, into the column `z`"
+        )
+    z = None if height is None else round(height * COUNTS_PER_UNIT)
+    return Edit(number, action, area_in_counts(feature.place, [feature]), z)

@@ -1,0 +1,41 @@
+"""The part of the report on what people drew: what each correction changed, and what lines the terrain follows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from tiler.report.document import Content, Node, el, section, table
+from tiler.report.sections import MOST_ROWS, Run, counted
+
+
+def drawn(run: Run) -> list[Node]:
+    """One section where there is anything to tell, else none."""
+    lines, edits, contours = (run.get(name) for name in ("breaklines", "edits", "contours"))
+    content: list[Content] = []
+    if edits:
+        rows = [
+            (str(e["number"]), e["action"], ", ".join(f"{v:,.1f}" for v in e["bounds"]), _changed(e))
+            for e in edits[:MOST_ROWS]
+        ]
+        content += [
+            el("h3", counted(len(edits), "correction")),
+            table(("feature", "action", "west, south, east, north", "what it changed"), rows, (0,)),
+        ]
+    if lines:
+        text = f"The terrain follows {counted(lines['lines'], 'line')}, by {lines['vertices']:,} vertices."
+        content += [el("h3", "Breaklines"), el("p", text)]
+    if contours:
+        text = f"{counted(contours['lines'], 'line')} of {contours['vertices']:,} vertices, every "
+        text += f"{contours['interval']:g} in the unit of the heights."
+        content += [el("h3", "Contours"), el("p", text)]
+    return [section("drawn", "Drawn", *content)] if content else []
+
+
+def _changed(edit: Mapping[str, Any]) -> str:
+    """In words; of edits that overlap each is told as if it were alone."""
+    if "pixels" in edit:
+        return f"{counted(edit['pixels'], 'pixel')}"
+    before, after = edit.get("ground_before", 0), edit.get("ground_after", 0)
+    by = f" ({edit['by']})" if edit["action"] == "ground" else ""
+    return f"{before:,} of {counted(edit.get('points', 0), 'point')} were ground, {after:,} are{by}"

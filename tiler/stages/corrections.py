@@ -1,0 +1,175 @@
+"""What people drew, applied to a run: corrections of points and heights, and breaklines.
+
+They change the digests of the buckets and blocks that they touch and of no others, so only these are made again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from tiler.core.breaklines import SHORTEST_M, Breaklines
+from tiler.core.edits import OF_PIXELS, OF_POINTS, Edit, Edits
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.raster import Block, RasterSpec
+from tiler.errors import ProcessingError
+from tiler.grid import full_halo, survey_edit
+from tiler.plan import Plan
+from tiler.runs.job import Job
+from tiler.schedule import Task, digest_of
+from tiler.stages.tasks import Assembled, ground_arguments
+from tiler.store import Commits
+from tiler.version import __version__
+
+EDITED = ("dtm", "dtm-filled")
+"""Rasters whose heights edits can set."""
+FOLLOWS_LINES = "dtm"
+"""The raster that is made of breaklines as well."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What holds besides labels.
+
+    Attributes
+    ----------
+    edits : Edits or None
+    lines : Breaklines or None
+    line_digests : mapping of Cell to str
+        Of the breaklines in each bucket of the lattice, whether or not it has points.
+    """
+
+    edits: Edits | None = None
+    lines: Breaklines | None = None
+    line_digests: Mapping[Cell, str] | None = None
+
+    def of_rasters(self, plan: Plan, name: str, tasks: Iterable[Task]) -> list[Task]:
+        """The tasks of a raster, with corrections and with digests of those that touch their blocks."""
+        return [self._of_raster(plan, name, task) for task in tasks]
+
+    def of_clouds(self, tasks: Iterable[Task]) -> Iterator[Task]:
+        """The tasks of classified clouds; what edits change of labels is in their digests already."""
+        for task in tasks:
+            yield task if self.edits is None else _with(task, edits=self.edits.key)
+
+    def _of_raster(self, plan: Plan, name: str, task: Task) -> Task:
+        if "block" not in task.arguments:
+            return task
+        bounds = RasterSpec.from_json(task.arguments["spec"]).block_bounds(Block(*task.arguments["block"]))
+        seen: list[Any] = []
+        if self.edits is not None:
+            task = _with(task, edits=self.edits.key)
+            seen += self.edits.digest(bounds, OF_PIXELS) if name in EDITED else []
+        if self.lines is not None and name == FOLLOWS_LINES:
+            task = _with(task, breaklines=self.lines.key)
+            seen += self._lines_near(plan, bounds)
+        return replace(task, digest=digest_of(task.digest, seen)) if seen else task
+
+    def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
+        """Cells with breaklines that can reach a block, as far as any facet does."""
+        found = self.line_digests or {}
+        reach = full_halo(plan.meta.frame.counts(plan.config.max_edge))
+        reach += math.ceil(3 * plan.meta.frame.counts(plan.resolution))
+        near = plan.meta.bucket.among(bounds.pad(reach), found)
+        return [[cell.ix, cell.iy, found[cell]] for cell in near]
+
+
+def _with(task: Task, **arguments: str) -> Task:
+    """A task with further arguments, which are no part of its digest."""
+    return replace(task, arguments={**task.arguments, **arguments})
+
+
+def correct(
+    job: Job, assembled: Assembled, labels: Mapping[Cell, str]
+) -> tuple[dict[Cell, str], Corrections]:
+    """Take up what the plan read; digests of the labels as they are with it, and what holds besides."""
+    plan, found = job.plan, Corrections()
+    corrected = dict(labels)
+    if plan.edits:
+        found = replace(found, edits=_surveyed(job, assembled, labels))
+        corrected = _labels(plan, found.edits, labels)
+    if plan.lines:
+        pixel = plan.meta.frame.counts(plan.resolution)
+        lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(SHORTEST_M))
+        job.store.put_breaklines(lines)
+        job.facts["breaklines"] = {"lines": len(plan.lines), "vertices": len(lines.vertices)}
+        found = replace(found, lines=lines, line_digests=lines.digests(plan.meta.bucket))
+    return corrected, found
+
+
+def _labels(plan: Plan, edits: Edits | None, labels: Mapping[Cell, str]) -> dict[Cell, str]:
+    """Digests of labels, others where an edit touches a bucket."""
+    found = dict(labels)
+    for edit in () if edits is None else edits.edits:
+        for cell in _touched(plan.meta.bucket, edit, labels) if edit.action in OF_POINTS else ():
+            found[cell] = digest_of(found[cell], edit.digest, str(plan.resolution))
+    return found
+
+
+def _touched(lattice: Lattice, edit: Edit, cells: Mapping[Cell, Any]) -> list[Cell]:
+    near = lattice.among(edit.area.bounds, cells)
+    return [cell for cell in near if edit.area.touches(lattice.bounds(cell))]
+
+
+def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str]) -> Edits:
+    """The edits, of each of which is known what it finds inside; kept in the store for the tasks."""
+    plan = job.plan
+    cell = Lattice(plan.meta.frame.counts(plan.resolution))
+    tasks = {edit.number: _survey_task(plan, edit, cell, assembled, labels) for edit in plan.edits}
+    made = job.perform("edits", tasks.values())
+    missing = [task for task in tasks.values() if task.key not in made]
+    if missing:
+        raise ProcessingError(f"--edits: {missing[0].key} could not be applied: {job.failed[-1]['error']}")
+    records = {number: made[task.key][1] for number, task in tasks.items()}
+    edits = Edits(tuple(replace(e, lowest=records[e.number]["lowest"]) for e in plan.edits), cell)
+    job.store.put_edits(edits)
+    job.facts["edits"] = [_fact(edit, records[edit.number]) for edit in edits.edits]
+    return edits
+
+
+def _survey_task(
+    plan: Plan, edit: Edit, cell: Lattice, assembled: Assembled, labels: Mapping[Cell, str]
+) -> Task:
+    cells = _touched(plan.meta.bucket, edit, labels) if edit.action in OF_POINTS else []
+    arguments = {
+        **ground_arguments(plan), "edit": edit.to_json(), "cell": cell.to_json(),
+        "cells": [[c.ix, c.iy] for c in cells],
+    }  # fmt: skip
+    digest = digest_of(__version__, arguments, [labels[c] for c in cells])
+    points = sum(assembled.records[c]["n"] for c in cells)
+    return Task("edits", f"e{edit.number:06d}", digest, survey_edit, arguments, points)
+
+
+def _fact(edit: Edit, record: Mapping[str, Any]) -> dict[str, Any]:
+    """What run.json says of an edit; pixels follow when the terrain is made."""
+    bounds = [v / COUNTS_PER_UNIT for v in edit.area.bounds.to_json()]
+    fact: dict[str, Any] = {"number": edit.number, "action": edit.action, "bounds": bounds}
+    if edit.action in OF_POINTS:
+        fact |= {name: record[name] for name in ("points", "ground_before", "ground_after")}
+        fact["by"] = "lowest points" if record["lowest"] else "classes"
+    return fact
+
+
+def tell_of_pixels(job: Job, terrain: Commits) -> None:
+    """Add to run.json how many pixels of the terrain each edit set."""
+    counts: dict[int, int] = {}
+    for _, record in terrain.values():
+        for number, pixels in record.get("edited", ()):
+            counts[number] = counts.get(number, 0) + pixels
+    for fact in job.facts.get("edits", ()):
+        if fact["action"] in OF_PIXELS:
+            fact["pixels"] = counts.get(fact["number"], 0)
+    nothing = [fact for fact in job.facts.get("edits", ()) if not _changed(fact)]
+    if nothing:
+        names = ", ".join(f"feature {fact['number']} ({fact['action']})" for fact in nothing[:5])
+        more = f" and {len(nothing) - 5} more" if len(nothing) > 5 else ""
+        job.note(f"--edits: {names}{more}: changed nothing")
+
+
+def _changed(fact: Mapping[str, Any]) -> bool:
+    return bool(
+        fact["pixels"] if fact["action"] in OF_PIXELS else fact["ground_before"] != fact["ground_after"]
+    )

@@ -1,0 +1,44 @@
+"""The tasks that draw the products that are no rasters: contours and spot heights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any
+
+from tiler.core.products import CONTOURS, SPOTS
+from tiler.export import write_contours, write_spots
+from tiler.schedule import Task, digest_of
+from tiler.stages.gridding import Gridding
+from tiler.stages.raster_table import final
+from tiler.stages.raster_tasks import checksums
+from tiler.stages.tasks import area_key
+from tiler.version import __version__
+
+WORKS = {CONTOURS: write_contours, SPOTS: write_spots}
+SMOOTH_PIXELS = 2
+"""Standard deviation of the Gaussian that smooths the heights, where the user names none."""
+SPOT_REACH_M, WIDEST_REACH = 50, 256
+"""How far around a spot nothing is higher or lower; and the pixels that this is at most."""
+
+
+def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
+    """One for each file."""
+    plan, config = g.plan, g.plan.config
+    terrain = final("dtm", config)
+    interval = config.contour_interval
+    common: dict[str, Any] = {
+        "raster": terrain, "spec": g.spec.to_json(), "out": out, "area": area_key(plan),
+        "interval": None if interval is None else str(interval / plan.meta.frame.units.vertical),
+    }  # fmt: skip
+    smooth = config.contour_smooth
+    sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.resolution
+    own: dict[str, dict[str, Any]] = {
+        CONTOURS: {"sigma": float(sigma)},
+        SPOTS: {"reach": min(math.ceil(SPOT_REACH_M / plan.resolution), WIDEST_REACH)},
+    }
+    for name in config.drawn:
+        arguments = {**common, **own[name]}
+        digest = digest_of(__version__, arguments, checksums(g.made[terrain]))
+        yield Task("export", f"{name}.gpkg", digest, WORKS[name], arguments, g.spec.height * g.spec.width)
