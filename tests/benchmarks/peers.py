@@ -33,6 +33,10 @@ SMRF_WITHOUT_OUTLIERS: tuple[dict[str, Any], ...] = (
 PMF_ALONE: tuple[dict[str, Any], ...] = ({"type": "filters.pmf"},)
 
 
+PEER = "(peer)"
+"""How names of other people's filters end."""
+
+
 class Cloth(NamedTuple):
     """Settings of the cloth simulation: its spacing in metres, and 1 (soft, for steep terrain) to 3 (stiff, flat)."""
 

@@ -41,7 +41,7 @@ from tests.benchmarks.leave_one_out import (
     total_error,
 )
 from tests.benchmarks.measuring import FLOOR, GROUND, Cell, Filter, measure, nearest_to_truth
-from tests.benchmarks.peers import digest_of_peers, installed_peers, missing_peers
+from tests.benchmarks.peers import PEER, digest_of_peers, installed_peers, missing_peers
 from tests.benchmarks.scorecard_scenes import (
     ISPRS_SAMPLES,
     SEMI_REAL,
@@ -55,6 +55,8 @@ from tests.benchmarks.scorecard_text import markdown
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 REFERENCE = "classic"
+MATCHED = "image matching"
+"""Groups of scenes where other programs take part: of laser scans their figures are published."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,13 @@ def all_filters() -> dict[str, Entry]:
     return filters | {FLOOR: Entry(nearest_to_truth, "")}
 
 
+def takes_part(name: str, scene: BenchScene) -> bool:
+    """Whether a filter has a figure on a scene: the floor needs a truth, other programs are run on matched clouds."""
+    if name == FLOOR:
+        return scene.with_truth
+    return not name.endswith(PEER) or MATCHED in f"{scene.group}, {scene.family}"
+
+
 def run_all(
     scenes: Iterable[BenchScene], filters: Mapping[str, Entry], repeats: int, say: Callable[[str], None],
     kept: Kept | None = None,
@@ -92,7 +101,7 @@ def run_all(
     for scene in scenes:
         cloud = cache(scene.load)
         for name, entry in filters.items():
-            if name == FLOOR and not scene.with_truth:
+            if not takes_part(name, scene):
                 continue
             again = repeats if name in METHODS else 0  # of others only the labels are of interest
             key = digest(rules, scene.key(), scene.family, scene.group, name, entry.key, str(again))

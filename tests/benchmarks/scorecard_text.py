@@ -25,10 +25,11 @@ fastest of {repeats} runs from points in memory to labels in memory; memory is w
 peak. DTMs are the linear TIN of what was labelled ground, with no smoothing: what `tiler run` grids of matched clouds
 is better ([benchmarks](benchmarks.md#image-matching-beside-other-programs)).
 
-`floor` is no filter but a limit, from the truth: the errors that are left where ground is all that lies nearer to the
-true terrain than one height, the best one for the scene; and the DTM of the true ground points. In simulated matched
-scenes most of it are plants of 0.15 to 0.4 m that cover whole patches: the matched surface shows their tops, and the
-simulator calls them objects.
+Other people's filters (`peer`) take part on matched clouds, where they are installed; for laser scans see the published
+figures. They are not timed. `floor` is no filter but a limit, from the truth: the errors that are left where ground is
+all that lies nearer to the true terrain than one height, the best one for the scene; and the DTM of the true ground
+points. In simulated matched scenes most of it are plants of 0.15 to 0.4 m that cover whole patches: the matched surface
+shows their tops, and the simulator calls them objects.
 """
 
 
