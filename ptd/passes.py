@@ -207,6 +207,8 @@ class Pass(ABC):
     label_margin_m : float
         `Model.label` needs the points around those that it labels: it is given those, then all others that take part
         in filtering within this distance of the rectangle that the first ones fill, in any order.
+    kind : {"lidar", "dim"} or None
+        What made the clouds that the pass is for: to others it does not apply. None: for all clouds.
     """
 
     name: str
@@ -218,6 +220,7 @@ class Pass(ABC):
     elects: bool = False
     elected: bool = False
     label_margin_m: float = 0.0
+    kind: str | None = None
 
     def applies(self, state: State) -> bool:
         """Whether the pass is done at all, given the state after the passes before; else it is passed over.

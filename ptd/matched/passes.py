@@ -43,6 +43,8 @@ def noise_m(state: State) -> float:
 class MatchedPass(Pass):
     """A pass that only matched clouds need."""
 
+    kind = "dim"
+
     def applies(self, state: State) -> bool:
         """Only where the survey says so; before it, nothing is known."""
         return "survey" in state and is_matched(state)

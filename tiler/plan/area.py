@@ -101,9 +101,9 @@ def part_of(plan: Plan) -> Plan:
             f"which lie in ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}) in units of their CRS"
         )
     left = sum(bool(s.points) for s in plan.sources) - len(near)
-    margin = plan.margin / COUNTS_PER_UNIT * float(plan.meta.frame.units.horizontal)
     notes = [
-        f"{option}: points within {margin:g} m of it are read as well, so that its border shows in no result"
+        f"{option}: points within {_metres(plan, plan.margin):g} m of it are read as well, so that its border shows "
+        f"in no result{_nearer(plan)}"
     ]
     notes += [f"{option}: {left} files lie farther off and are not read"] if left else []
     shares = [_share(plan, source) for source in near]
@@ -116,6 +116,22 @@ def part_of(plan: Plan) -> Plan:
         names={path: name for path, name in plan.names.items() if path in {s.path for s in near}},
         notes=(*plan.notes, *notes),
     )  # fmt: skip
+
+
+def _nearer(plan: Plan) -> str:
+    """How far points are needed if the cloud is of a kind that needs less than the kind that needs most."""
+    found = {}
+    for kind in ("als", "dim") if plan.kinds else ():
+        found[kind] = dataclasses.replace(plan, config=plan.config.updated(kind=kind)).margin
+    return "".join(
+        f" ({_metres(plan, margin):g} m are enough with --kind {kind})"
+        for kind, margin in found.items()
+        if margin < plan.margin
+    )
+
+
+def _metres(plan: Plan, counts: int) -> float:
+    return counts / COUNTS_PER_UNIT * float(plan.meta.frame.units.horizontal)
 
 
 def _share(plan: Plan, source: SourceInfo) -> float:

@@ -29,7 +29,7 @@ from tiler.plan.disk import emptiness_warning, too_much_between
 from tiler.plan.drawings import with_drawings
 from tiler.plan.far import LeftOut, beyond_frame, minority
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
-from tiler.plan.model import KEEP, Plan
+from tiler.plan.model import KEEP, Plan, known_kind, steps_of
 from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
 from tiler.report import earlier_statistics
 from tiler.schedule import Guards
@@ -134,16 +134,21 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
             f"--method {config.method}: needs colours (RGB), no input has any; use another method"
         )
     cell = defaults.candidate_cell_m if defaults else 0.0
-    passes = _planned_passes(defaults, config, notes) if defaults else ()
-    tile = config.tile_size or sizes.tile_m(memory, density, cell, passes, meta)
-    warnings = warnings_of(filled, agreement.units, tile, [step.halo_m for step in passes])
+    known = None
+    if config.statistics is not None:
+        known = earlier_statistics(Path(config.statistics), config.method, parameters)
+    kind = known_kind(config, known)
+    passes = _planned_passes(defaults, config, kind, notes) if defaults else ()
+    steps = steps_of(passes, kind)
+    tile = config.tile_size or sizes.tile_m(memory, density, cell, steps, meta)
+    warnings = warnings_of(filled, agreement.units, tile, [step.halo_m for step in steps])
     warnings += advice.before(filled, config, density, _own_halo(defaults))
     plan = Plan(
         config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
         config.workers or psutil.cpu_count() or 1, cell, points, covered, extent, crowd, None,
         output_names(found.inputs, found.sources), tuple(notes), tuple(warnings),
-        None if config.statistics is None else earlier_statistics(Path(config.statistics), config.method, parameters),
+        known,
     )  # fmt: skip
     plan = part_of(plan)
     text = emptiness_warning(plan)
@@ -231,8 +236,10 @@ def _own_halo(params: Any) -> float | None:
     return max((float(params.halo_m if s.halo_m is None else s.halo_m) for s in steps), default=None)
 
 
-def _planned_passes(params: Any, config: RunConfig, notes: list[str]) -> tuple[PlannedPass, ...]:
-    """The passes of a method with the halo that each starts with."""
+def _planned_passes(
+    params: Any, config: RunConfig, kind: str | None, notes: list[str]
+) -> tuple[PlannedPass, ...]:
+    """The passes of a method with the halo that each starts with, for a cloud of that kind (None: not known)."""
 
     def halo(step: Pass) -> float:
         if step.reach_m is not None:
@@ -241,7 +248,8 @@ def _planned_passes(params: Any, config: RunConfig, notes: list[str]) -> tuple[P
             return float(config.halo)
         return float(params.halo_m if step.halo_m is None else step.halo_m)
 
-    fixed = [step for step in params.passes if step.reach_m is not None]
+    asked = [step for step in params.passes if step.kind is None or kind in (None, step.kind)]
+    fixed = [step for step in asked if step.reach_m is not None]
     if config.halo is not None and fixed:
         notes.append(
             "--halo is for passes whose reach is not known beforehand; "
@@ -251,7 +259,7 @@ def _planned_passes(params: Any, config: RunConfig, notes: list[str]) -> tuple[P
     return tuple(
         PlannedPass(
             s.name, halo(s), s.reach_m is not None, s.every_point, s.elected, s.label_margin_m,
-            type(s).applies is not Pass.applies,
+            type(s).applies is not Pass.applies, s.kind,
         )
         for s in params.passes
     )  # fmt: skip

@@ -50,6 +50,8 @@ class PlannedPass:
         What it labels a bucket with of the bucket's surroundings (`ptd.passes.Pass.label_margin_m`).
     sometimes : bool
         It does not always apply (`ptd.passes.Pass.applies`).
+    kind : str or None
+        What made the clouds that it is for (`ptd.passes.Pass.kind`); None: for all.
     """
 
     name: str
@@ -59,6 +61,7 @@ class PlannedPass:
     elected: bool = False
     margin_m: float = 0.0
     sometimes: bool = False
+    kind: str | None = None
 
 
 def nested(cell_m: float) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -43,6 +44,19 @@ PART = 128
 """Pixels a side of the parts into which blocks are divided where points are many."""
 
 
+def known_kind(config: RunConfig, statistics: Mapping[str, Any] | None) -> str | None:
+    """What made the cloud, as the user or the run whose statistics are used says; None: the points will show."""
+    if statistics is None:
+        return config.source_kind
+    found = (state["survey"]["kind"] for state in statistics.values() if "kind" in state.get("survey", {}))
+    return next(found, None)
+
+
+def steps_of(passes: Iterable[PlannedPass], kind: str | None) -> tuple[PlannedPass, ...]:
+    """The passes that a cloud of that kind (None: not known) may need."""
+    return tuple(step for step in passes if step.kind is None or kind in (None, step.kind))
+
+
 @dataclass(frozen=True)
 class Plan:
     """What a run will do; lengths in metres, sizes in bytes.
@@ -65,6 +79,8 @@ class Plan:
         Where the points are thickest.
     names : dict of Path to Path
         Of each source's classified file, below OUT/classified.
+    passes : tuple of PlannedPass
+        All of the method, by number; `steps` are those that may be done.
     statistics : dict or None
         State after each pass, by its name, of the earlier run that ``--statistics`` names.
     edits : tuple of Edit
@@ -104,12 +120,37 @@ class Plan:
         return [s for s in self.sources if s.points and s.bounds is not None]
 
     @property
+    def kind(self) -> str | None:
+        """What made the cloud, laser scanning (lidar) or image matching (dim); None: the points will show."""
+        return known_kind(self.config, self.statistics)
+
+    @property
+    def steps(self) -> tuple[PlannedPass, ...]:
+        """The passes that the run may do."""
+        return steps_of(self.passes, self.kind)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What the cloud may be, where the method has passes for one kind alone and it is not known; else nothing."""
+        return (
+            tuple(dict.fromkeys(step.kind for step in self.steps if step.kind)) if self.kind is None else ()
+        )
+
+    def halo_of(self, kind: str) -> float:
+        """The widest halo that a pass starts with, metres, if the cloud is of that kind."""
+        return max(step.halo_m for step in steps_of(self.passes, kind))
+
+    def overlap_of(self, halo_m: float) -> float:
+        """Padded area over core area of a filter tile with that halo."""
+        return float(((self.tile + 2 * Fraction(halo_m)) / self.tile) ** 2)
+
+    @property
     def margin(self) -> int:
         """Counts around the area within which points are read.
 
         The widest halo that a pass starts with, what labels are made with, and what a facet at the edge can reach.
         """
-        labels = max((Fraction(step.margin_m) for step in self.passes), default=Fraction(0))
+        labels = max((Fraction(step.margin_m) for step in self.steps), default=Fraction(0))
         return math.ceil(self.meta.frame.counts(max(Fraction(self.halo_m), self.grid_halo, labels)))
 
     def buckets_of(self, source: SourceInfo) -> Runs | None:
@@ -175,12 +216,12 @@ class Plan:
     @property
     def halo_m(self) -> float:
         """The widest halo that a pass starts with, metres."""
-        return max((step.halo_m for step in self.passes), default=0.0)
+        return max((step.halo_m for step in self.steps), default=0.0)
 
     @property
     def overlap(self) -> float:
         """Padded area over core area of a filter tile, in the pass that sees most."""
-        return float(((self.tile + 2 * Fraction(self.halo_m)) / self.tile) ** 2)
+        return self.overlap_of(self.halo_m)
 
     @property
     def tiles(self) -> int:
@@ -202,7 +243,7 @@ class Plan:
         """Peak bytes of a worker by stage."""
         return {
             "ingest": ingest_bytes(PIECE_POINTS, self.fullest_bucket),
-            "filter": max((self._projected_filter(step) for step in self.passes), default=0),
+            "filter": max((self._projected_filter(step) for step in self.steps), default=0),
             "grid": BASE_BYTES
             + int(min(self.points, max(self.block_points, self.fullest_part))) * GROUND_BYTES,
             "export": BASE_BYTES + EXPORT_BYTES + min(max(s.points for s in self.sources), EXPORT_POINTS),

@@ -54,7 +54,7 @@ def projected_seconds(plan: Plan) -> tuple[float, bool]:
     """Seconds of the whole job, and whether all of it rests on earlier runs of this machine."""
     products = dict.fromkeys(("dtm", *plan.config.exported))
     known = _read()
-    filters = {f"filter{number}": step for number, step in enumerate(plan.passes)}
+    filters = {f"filter{number}": step for number, step in enumerate(plan.passes) if step in plan.steps}
     # Of passes that do not always apply those count that earlier runs did, if they did any.
     did = [stage for stage, step in filters.items() if step.sometimes and _name(plan, stage) in known]
     filters = {s: step for s, step in filters.items() if s in did or not (did and step.sometimes)}

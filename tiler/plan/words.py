@@ -7,9 +7,10 @@ from typing import Any
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import unit_label
 from tiler.plan.disk import projected_disk
-from tiler.plan.memory import PlannedPass
 from tiler.plan.model import Plan
 from tiler.plan.rates import projected_seconds
+
+KIND_WORDS = {"lidar": "a laser scan", "dim": "a matched cloud"}
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
@@ -22,10 +23,11 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "units": {"horizontal": unit_label(frame.units.horizontal), "vertical": unit_label(frame.units.vertical)},
         "metres_per_unit": {"horizontal": float(frame.units.horizontal), "vertical": float(frame.units.vertical)},
         "area": _area_facts(plan), "extent": [v / COUNTS_PER_UNIT for v in plan.extent.to_json()],
-        "method": plan.config.method, "parameters": plan.parameters, "passes": len(plan.passes),
-        "halos_m": {step.name: step.halo_m for step in plan.passes},
+        "method": plan.config.method, "parameters": plan.parameters, "passes": len(plan.steps), "kind": plan.kind,
+        "halos_m": {step.name: step.halo_m for step in plan.steps},
         "resolution_m": float(plan.resolution), "tile_m": float(plan.tile), "bucket_m": plan.bucket_m,
         "halo_m": plan.halo_m, "tiles": plan.tiles, "overlap_work": plan.overlap,
+        "halo_by_kind_m": {kind: plan.halo_of(kind) for kind in plan.kinds},
         "fullest_window_points": plan.fullest_window(), "workers": plan.workers, "memory_bytes": plan.memory,
         "projected_memory_bytes": plan.projected_memory(), "projected_disk_bytes": sum(disk.values()),
         "disk_bytes": disk, "projected_seconds": seconds, "rates_of_this_machine": measured,
@@ -47,12 +49,12 @@ def plan_lines(plan: Plan) -> list[str]:
         f"extent      {wide:,.0f} x {high:,.0f} m from ({west:,.1f}, {south:,.1f})",
         f"CRS         {crs_name(frame.crs_wkt)}; x, y in {unit_label(frame.units.horizontal)}, "
         f"z in {unit_label(frame.units.vertical)}",
-        f"method      {plan.config.method}" + _passes_in_words(plan.passes),
+        f"method      {plan.config.method}" + _passes_in_words(plan),
         f"DTM         {float(plan.resolution):g} m pixels, "
         f"nodata beyond facets of {float(plan.config.max_edge):g} m",
         f"products    {', '.join(plan.config.products)}",
-        f"tiles       about {plan.tiles} of {float(plan.tile):g} m with {plan.halo_m:g} m of halo, "
-        f"overlap work {plan.overlap:.2f}, about {plan.fullest_window():,} points in the fullest window",
+        f"tiles       about {plan.tiles} of {float(plan.tile):g} m with {_halo_in_words(plan)}, "
+        f"about {plan.fullest_window():,} points in the fullest window",
         "memory      "
         + ", ".join(f"{stage} {size / 2**20:,.0f}" for stage, size in memory.items() if size)
         + f" MiB: a worker needs {memory[worst] / 2**20:,.0f} MiB at most ({worst}), "
@@ -78,12 +80,26 @@ def _area_facts(plan: Plan) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _passes_in_words(passes: tuple[PlannedPass, ...]) -> str:
+def _halo_in_words(plan: Plan) -> str:
+    """The widest halo and what it costs: for each kind of cloud, where the points are yet to show which it is."""
+
+    def words(halo_m: float) -> str:
+        return f"{halo_m:g} m of halo, overlap work {plan.overlap_of(halo_m):.2f}"
+
+    if not plan.kinds:
+        return words(plan.halo_m)
+    found = ", or ".join(f"{words(plan.halo_of(kind))} for {KIND_WORDS[kind]}" for kind in plan.kinds)
+    return f"{found}, as the points will show (--kind says it beforehand)"
+
+
+def _passes_in_words(plan: Plan) -> str:
     """Number of passes, and what each sees around a tile where there are several."""
-    if len(passes) < 2:
-        return ", 1 pass" if passes else ""
-    text = f", {len(passes)} passes, halo: " + ", ".join(f"{step.name} {step.halo_m:g} m" for step in passes)
-    return text + ("; not all of them apply to every cloud" if any(step.sometimes for step in passes) else "")
+    steps = plan.steps
+    if len(steps) < 2:
+        return ", 1 pass" if steps else ""
+    text = f", {len(steps)} passes, halo: " + ", ".join(f"{step.name} {step.halo_m:g} m" for step in steps)
+    some = any(step.sometimes and (step.kind is None or plan.kinds) for step in steps)
+    return text + ("; not all of them apply to every cloud" if some else "")
 
 
 def crs_name(wkt: str | None) -> str:

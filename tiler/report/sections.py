@@ -134,6 +134,12 @@ def _place(bounds: list[float] | None) -> str:
     return ", ".join(f"{v:,.1f}" for v in bounds) if bounds else "-"
 
 
+def _halo_m(run: Run) -> float:
+    """The widest halo of the passes that the run did, as far as the plan knew it."""
+    plan, survey = run["plan"], (run.get("statistics") or {}).get("survey", {}).get("survey", {})
+    return float(plan.get("halo_by_kind_m", {}).get(survey.get("kind"), plan["halo_m"]))
+
+
 def decisions(run: Run) -> Node:
     """What was settled without being asked for, and why."""
     plan, config = run["plan"], run["configuration"]
@@ -142,7 +148,7 @@ def decisions(run: Run) -> Node:
     settled = {
         "resolution": (config["resolution"], f"{plan['resolution_m']:g} m", "1 m, or the points' spacing if wider"),
         "tile_size": (config["tile_size"], f"{plan['tile_m']:g} m", "what fits into a worker's memory"),
-        "halo": (config["halo"], f"{plan['halo_m']:g} m", "the method's own reach"),
+        "halo": (config["halo"], f"{_halo_m(run):g} m", "the method's own reach"),
         "workers": (config["workers"], str(plan["workers"]), "the cores of the machine"),
         "memory": (config["memory"], size_text(memory), "a fair share of the machine, 1 GiB at most"),
         "units": (config["units"], units, declared),

@@ -162,6 +162,8 @@ class SurveyPass(Pass):
 class LaserPass(Pass):
     """A pass that only laser scans need."""
 
+    kind = "lidar"
+
     def applies(self, state: State) -> bool:
         """Not where the survey took the run for image matching."""
         return "survey" not in state or not matched.is_matched(state)
