@@ -17,6 +17,10 @@ voting
     points against the surface; neighbours vote.
 passes
     all of it as passes of `ptd.methods.auto.method`.
+survey, penetration
+    what made a cloud: a laser scanner, or matching.
+on_cells, facets
+    the papers' methods on the same cells, and all points against the TIN of the cells that these take for ground.
 
 The noise of the run that they start from is that of the smoothest places (`ptd.ground.roughness`, ``smoothest_m``).
 """

@@ -160,9 +160,7 @@ class SurfacePass(MatchedPass):
         found = surface.ground_surface(
             raster.heights, terrain, noise_m(state), scale, raster.row, raster.column
         )
-        place = Place(cells.origin_x, cells.origin_y, cells.p / cells.q, raster.column, raster.row)
-        ground = Ground(found, place, scale, noise_m(state), float(state["survey"]["density_m2"]))
-        return GroundModel(ground, {"cells": int(raster.keys.size)})
+        return GroundModel.of(found, raster, cells, scale, state)
 
 
 class Place(NamedTuple):
@@ -210,6 +208,15 @@ class GroundModel(Model):
 
     def __init__(self, ground: Ground | None, stats: dict[str, Any]) -> None:
         self._ground, self.stats = ground, stats
+
+    @classmethod
+    def of(
+        cls, found: surface.Surface, raster: Raster, cells: Cells, scale: Scale, state: State
+    ) -> GroundModel:
+        """A surface of the cells of a raster."""
+        place = Place(cells.origin_x, cells.origin_y, cells.p / cells.q, raster.column, raster.row)
+        ground = Ground(found, place, scale, noise_m(state), float(state["survey"]["density_m2"]))
+        return cls(ground, {"cells": int(raster.keys.size)})
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """ASPRS classes; nothing is ever in doubt, as the pass has a reach."""

@@ -172,6 +172,33 @@ def ground_surface(
     return Surface(_extended(height, there), sigma, narrowing)
 
 
+def noise_reach_cells() -> int:
+    """Cells beyond which nothing has a part in the noise about a surface, and in how it goes on beyond its cells."""
+    slope = _radius(SLOPE_SMOOTHED_M) + 1
+    return max(slope, _radius(NOISE_M)) + _share_radius(CONTRAST_M) + _radius(max(EXTENDED_M))
+
+
+def with_noise(heights: Int32, ground: Float64, sigma_m: float, scale: Scale) -> Surface:
+    """A surface that another method found, with the noise of the cells about it.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Vertical counts of the cells; `EMPTY` elsewhere, at least at the raster's edges.
+    ground : float64 [rows, columns]
+        Vertical counts of the ground at the cells, NaN where it is not known.
+    sigma_m : float
+        The run's noise in metres.
+    scale : Scale
+    """
+    there = (heights != EMPTY) & ~np.isnan(ground)
+    metres = 1.0 / scale.counts_z(1.0)
+    cells = _Cells(np.where(there, heights * metres, 0.0), there)
+    below: Float64 = np.where(there, ground * metres, 0.0)
+    sigma, narrowing, _, _ = _about(cells, below, sigma_m)
+    return Surface(_extended(below, there), sigma, narrowing)
+
+
 def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
     """0 up to the first limit, 1 from the second on."""
     found: Float64 = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0.0, 1.0)

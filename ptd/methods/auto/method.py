@@ -7,7 +7,7 @@ works on the lowest point of each cell of 1 m: morphological seeds, a few rounds
 rises like an object. Figures, why there are passes and how far each sees: ``ptd/DESIGN.md``.
 
 survey
-    density, noise, returns, and what is seen through (`penetration`): laser scanning or image matching
+    density, noise, returns, and what is seen through (`ptd.matched.survey`): laser scanning or image matching
     (`settings`).
 seeds
     low outliers out; what drops steeply in openings of growing radius (`objects`) is an object; all else is a seed.
@@ -74,28 +74,29 @@ The ring of virtual seeds has cells of 20 m (`ptd.ground.seeds`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ptd.frame import Cells, Scale, Window
-from ptd.ground import roughness
 from ptd.ground.blocks import blocks
 from ptd.ground.certificates import Doubt
 from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
 from ptd.ground.morphology import Bool, CellRaster
 from ptd.ground.outliers import low_outliers
+from ptd.ground.roughness import Roughness
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched import passes as matched
-from ptd.methods.auto import penetration
+from ptd.matched import survey
+from ptd.matched.survey import Seen
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
 from ptd.methods.auto.objects import Lowest
 from ptd.methods.auto.plateaus import on_plateaus
-from ptd.methods.auto.settings import RING_M, AutoParameters, Seen, decided, settings
-from ptd.passes import Int32, Measured, Method, Model, Pass, Points, State, UInt8
+from ptd.methods.auto.settings import RING_M, AutoParameters, decided, settings
+from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.tin.mesh import Tin
 
 OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
@@ -111,7 +112,7 @@ class Auto(AutoParameters):
         """Rasters with a fixed reach and TINs with doubt in turn: doubt does not add up."""
         cell = self.thin_cell_m
         return (
-            SurveyPass(self),
+            SurveyPass(params=self),
             SeedPass(self, reach_m=(self.seed_reach + 1) * cell),
             DensifyPass(self),
             RefinePass(self, reach_m=(self.refine_reach + 1) * cell),
@@ -127,35 +128,16 @@ class Auto(AutoParameters):
 
 
 @dataclass(frozen=True)
-class SurveyPass(Pass):
+class SurveyPass(survey.SurveyPass):
     """Density, noise and returns, and what follows from them."""
 
-    params: Auto
-    name: str = "survey"
-    columns: tuple[str, ...] = ("returns",)
-    every_point: bool = True
-    gives_labels: bool = False
-    reach_m: float | None = max(roughness.REACH_M, penetration.REACH_M)
+    params: Auto = field(kw_only=True)
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
-        """Count."""
-        counts = {"told": 0, "several": 0, "looks": 0, "through": 0}
-        if state["run"].get("kind") is None:
-            counts |= penetration.seen_through(points.xyz, core, scale)
-        if points.returns is not None:
-            x, y = points.xyz[:2]
-            own = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
-            of = points.returns[1, own]
-            counts |= {"told": int((of > 0).sum()), "several": int((of > 1).sum())}
-        found = roughness.measure(points.xyz, window, core, scale) | counts
-        return Measured(found, {"points": found["points"]})
-
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """``survey``: see `settings.decided`."""
-        parts = list(partials)
-        seen = Seen(*(sum(p[name] for p in parts) for name in Seen._fields))
-        survey, notes = decided(self.params, roughness.merge(parts), seen, state["run"])
-        return {**state, "survey": survey, "notes": [*state.get("notes", []), *notes]}
+    def decided(
+        self, found: Roughness, seen: Seen, run: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], list[str]]:
+        """See `settings.decided`."""
+        return decided(self.params, found, seen, run)
 
 
 @dataclass(frozen=True)

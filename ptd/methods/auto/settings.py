@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from ptd.frame import Scale
 from ptd.ground.criteria import Limits
 from ptd.ground.outliers import search_margin
 from ptd.ground.roughness import Roughness
 from ptd.matched.passes import GROUND_M
+from ptd.matched.survey import DIM, LIDAR, Seen, surveyed
 from ptd.methods.auto.objects import Drop, Residuals, Shape
 from ptd.methods.auto.plateaus import Plateaus
 from ptd.methods.progressive import Progressive
@@ -24,20 +25,8 @@ RING_M = 20.0
 """Side of the cells of virtual seeds around the ground."""
 ROUND_HALO_M = 8.0
 """How far doubt advances in a round, seldom more."""
-LIDAR, DIM = "lidar", "dim"
-SEVERAL_SHARE = 0.001
-"""Share of points that are one of several returns from which on the cloud is a laser scan."""
 CUT_SIZE = 0.6
 """Share of `AutoParameters.roof_size_m` for roofs that the border of the data cuts: a terrace may go on there."""
-SEEN_THROUGH_SHARE = 0.004
-"""Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be:
-0.006 to 0.28 in real laser scans of 4 points/m2 or more (0.0002 in a simulated one without trees), 0 to 0.003 in
-matched clouds, of which those of wooded cliffs have most."""
-MATCHED_M2 = 4.0
-"""Points per square metre from which on a cloud without returns can be told as matched by what is seen through."""
-LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M = 0.03, 0.25
-"""Noise that the rules of matched clouds start from: errors of neighbours are alike, which planes do not see; and among
-trees nothing is smooth."""
 SPARSE_M2, DENSE_M2 = 1.0, 2.0
 """Points per square metre up to which the last pass is as the parameters say, and from which it is as narrow as the
 noise allows."""
@@ -275,23 +264,6 @@ class AutoParameters:
         return self.thin_cell_m
 
 
-class Seen(NamedTuple):
-    """Counts of a run.
-
-    Attributes
-    ----------
-    told, several : int
-        Points of which the number of returns is known; those that are one of several.
-    looks, through : int
-        Cells with points; those that are seen through (`penetration`).
-    """
-
-    told: int
-    several: int
-    looks: int
-    through: int
-
-
 @dataclass(frozen=True)
 class Settings:
     """What the parameters come to in a run."""
@@ -330,41 +302,17 @@ def decided(
     Returns
     -------
     survey : dict
-        ``kind`` (`LIDAR`, `DIM`: image matching, which has single returns alone and does not see through plants),
-        ``density_m2``, ``sigma_m`` (None: not known), ``label_sigma_m`` (what of it the last pass of a laser scan
-        allows for), ``cell_sigma_m`` (noise that the rules of matched clouds start from), ``several`` (share of
-        points).
+        See `ptd.matched.survey.surveyed`; and ``label_sigma_m``: what of the noise the last pass of a laser scan
+        allows for.
     notes : list of str
     """
-    share = seen.several / seen.told if seen.told else 0.0
-    through = seen.through / seen.looks if seen.looks else 0.0
-    single = share < SEVERAL_SHARE
-    if run.get("kind") is not None:
-        kind, why = run["kind"], "as --kind or the preset says"
-    elif not single:
-        kind, why = LIDAR, f"{100 * share:.2g} % of the points are one of several returns"
-    elif through >= SEEN_THROUGH_SHARE:
-        kind = LIDAR
-        why = f"pulses passed through plants in {100 * through:.2g} % of the area, though each point is a single return"
-    elif found.density_m2 < MATCHED_M2:
-        kind, why = LIDAR, f"fewer than {MATCHED_M2:g} points/m2, and no returns that say more"
-    else:
-        kind, why = DIM, "no point is one of several returns, and nothing is seen through plants"
-    sigma = found.sigma_m if run["sigma_m"] is None else run["sigma_m"]
-    label_sigma = sigma
-    if kind == LIDAR and run["sigma_m"] is None:
+    survey, note = surveyed(found, seen, run)
+    sigma = label_sigma = survey["sigma_m"]
+    if survey["kind"] == LIDAR and run["sigma_m"] is None:
         label_sigma = LASER_SIGMA_M if sigma is None else min(sigma, LASER_SIGMA_M)
-    cell_sigma = found.smoothest_m if run["sigma_m"] is None else run["sigma_m"]
-    cell_sigma = LEAST_CELL_SIGMA_M if cell_sigma is None else cell_sigma
-    survey = {
-        "kind": kind, "density_m2": found.density_m2, "sigma_m": sigma, "label_sigma_m": label_sigma,
-        "cell_sigma_m": min(max(cell_sigma, LEAST_CELL_SIGMA_M), MOST_CELL_SIGMA_M), "several": share,
-    }  # fmt: skip
-    noise = survey["cell_sigma_m"] if kind == DIM else sigma
-    told = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
-    named = "image matching" if kind == DIM else "laser scanning"
-    notes = [f"decided: {named} ({why}); {found.density_m2:.3g} points/m2, {told}"]
-    if kind == DIM:
+    survey["label_sigma_m"] = label_sigma
+    notes = [note]
+    if survey["kind"] == DIM:
         notes.append(
             f"decided: ground is up to {GROUND_M:g} m and the local noise from the surface, after a vote of neighbours"
         )

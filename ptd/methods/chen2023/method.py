@@ -32,6 +32,8 @@ prominence           "locally prominent"         1 m       what is lower densifi
 edge_length_reduce,  none                        5 m, 0,   as `classic`
 _stop; label_pass,                               on,
 label_floor                                      0.3 m
+robust_cells         none                        on        ours, for matched clouds, of which the paper says nothing:
+                                                           `ptd.matched.on_cells`
 ===================  ==========================  ========  =============================================================
 
 The six steps, and what differs:
@@ -68,6 +70,7 @@ from ptd.ground.densify import REFUSED, VERTEX, densify
 from ptd.ground.labelling import GROUND, LOW_NOISE, LowNoise, Terrain, unlabelled
 from ptd.ground.outliers import isolated_in_height, low_outliers, search_margin
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
+from ptd.matched.on_cells import OnCells, either_way
 from ptd.methods.chen2023.elevation_histogram import ElevationsPass, outside
 from ptd.methods.chen2023.progressive_opening import (
     Opening,
@@ -160,6 +163,7 @@ class Chen2023(Progressive):
         maximum=100.0, source="Chen 2023, 2.3 (2)",
     )  # fmt: skip
     label_pass: bool = like(Classic, "label_pass")
+    robust_cells: bool = like(OnCells, "robust_cells")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -175,7 +179,8 @@ class Chen2023(Progressive):
     def passes(self) -> tuple[Pass, ...]:
         """The histogram of the run, then the rest."""
         tails = ElevationsPass(self.thin_cell_m, self.tail_gap_m, self.tail_share)
-        return (tails, ChenPass(self))
+        own = (tails, ChenPass(self))
+        return either_way(own) if self.robust_cells else own
 
     @property
     def widths(self) -> list[int]:

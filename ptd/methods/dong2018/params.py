@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
+from ptd.matched.on_cells import OnCells
 from ptd.methods.classic import Classic
 from ptd.methods.progressive import Progressive
-from ptd.params import parameter
+from ptd.params import like, parameter
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Dong2018Parameters(Progressive):
         6.0, "stage one: points in pits narrower than 3 m and so many sigma deep are no vertices", minimum=1.0,
         maximum=1000.0,
     )  # fmt: skip
+    robust_cells: bool = like(OnCells, "robust_cells")
 
     @property
     def scales_m(self) -> tuple[float, ...]:

@@ -21,6 +21,8 @@ thin_cell             m: "the resolution of the      1 m       the DTM's default
 growth                p_min: 0.001                   0.001     the paper's value
 rounds                none                           12        a bound for the halo: few runs need as many
 label_floor           none                           0.3 m     `classic`'s; 0 is the paper's rule
+robust_cells          none                           on        ours, for matched clouds, of which the paper's data are:
+                                                               `ptd.matched.on_cells`; off: the paper's rule
 ====================  =============================  ========  =======================================================
 
 Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ridges`); seed refinement (2.2, equations 2-10,
@@ -44,6 +46,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ptd.matched.on_cells import either_way
 from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.passes import GrowthPass, RidgePass, TerrainPass
 from ptd.passes import Method, Pass
@@ -56,7 +59,8 @@ class Ridge2016(Ridge2016Parameters):
     @property
     def passes(self) -> tuple[Pass, ...]:
         """Where the growth ends the rounds it is counted first."""
-        return (GrowthPass(self), TerrainPass(self)) if self.growth else (RidgePass(self),)
+        own = (GrowthPass(self), TerrainPass(self)) if self.growth else (RidgePass(self),)
+        return either_way(own) if self.robust_cells else own
 
     @property
     def halo_m(self) -> float:

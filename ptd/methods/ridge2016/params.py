@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ptd.matched.on_cells import OnCells
 from ptd.methods.progressive import Progressive
-from ptd.params import parameter
+from ptd.params import like, parameter
 
 
 @dataclass(frozen=True)
@@ -48,3 +49,4 @@ class Ridge2016Parameters(Progressive):
         minimum=0.0, maximum=1.0, source="Ridge 2016, equation 11",
     )  # fmt: skip
     rounds: int = parameter(12, "rounds of densification at most", minimum=1, maximum=100)
+    robust_cells: bool = like(OnCells, "robust_cells")

@@ -23,8 +23,9 @@ from ptd.matched.passes import (
     noise_m,
 )
 from ptd.matched.surface import Surface
+from ptd.matched.survey import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen
 from ptd.methods.auto.method import Auto
-from ptd.methods.auto.settings import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen, decided
+from ptd.methods.auto.settings import decided
 from ptd.passes import Points
 
 MM = Scale()

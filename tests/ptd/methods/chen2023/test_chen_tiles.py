@@ -17,7 +17,7 @@ from tests.ptd.ground.test_certificates import SCALE, SIDE, cut, opened
 from tests.ptd.scenes import CM, SCENES, Cloud
 from tests.ptd.tiling import classify_tiled
 
-SMALL = Chen2023(max_building_size_m=8.0, rounds=2)
+SMALL = Chen2023(robust_cells=False, max_building_size_m=8.0, rounds=2)
 STATE = {"tails": [-30, 60]}
 
 
@@ -39,6 +39,7 @@ def random_case(seed: int) -> tuple[Chen2023, Cloud, Window]:
     cloud = cloud[:, ((cloud[:2] - centre) ** 2).sum(axis=0) >= radius**2]
     exponential = bool(rng.random() < 0.3)
     params = Chen2023(
+        robust_cells=False,
         max_building_size_m=float(rng.choice([2.0, 3.0, 4.5])), initial_window=2 if exponential else 1,
         exponential_windows=exponential, thin_cell_m=float(rng.choice([0.7, 1.0, 2.0])),
         terrain_angle_deg=float(rng.choice([30, 88])), iteration_angle_deg=float(rng.choice([6, 6, 25])),
@@ -69,7 +70,7 @@ def test_any_window(seed: int) -> None:
     share_marked(seed)
 
 
-CITY = Chen2023(max_building_size_m=16.0, rounds=2, low_radius_m=3.0)
+CITY = Chen2023(robust_cells=False, max_building_size_m=16.0, rounds=2, low_radius_m=3.0)
 
 
 @pytest.mark.parametrize("scene", ["hills_with_houses", "voids", "islands", "blunders"])

@@ -21,8 +21,8 @@ from ptd.methods.dong2018.stage_two import JOINED, MeasurePass
 from ptd.passes import MethodRefusal, Points
 from tests.ptd.tiling import classify_tiled
 
-DEFAULTS = Dong2018()
-PAPER = Dong2018(iteration_angle_deg=6.0, density_k=10.0, max_building_size_m=30.0)
+DEFAULTS = Dong2018(robust_cells=False)
+PAPER = Dong2018(robust_cells=False, iteration_angle_deg=6.0, density_k=10.0, max_building_size_m=30.0)
 
 
 def terrain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -130,7 +130,7 @@ def test_even_tin_by_hand() -> None:
 def test_a_matched_cloud() -> None:
     """Against the truth: type I, II and total, beside classic; thresholds as in figure 12."""
     xyz, ground = matched_cloud(1)
-    result = classify(xyz, "dong2018")
+    result = classify(xyz, "dong2018", DEFAULTS)
     state = result.decisions["statistics"]
     assert set(np.unique(result.classification)) <= {1, 2, 7}
     assert state["dense"]
@@ -155,7 +155,7 @@ def test_a_matched_cloud() -> None:
 
 def test_blunders_are_low_noise() -> None:
     xyz, ground = matched_cloud(2)
-    found = classify(xyz, "dong2018").classification
+    found = classify(xyz, "dong2018", DEFAULTS).classification
     low = ~ground & (xyz[:, 2] < terrain(xyz[:, 0], xyz[:, 1]) - 0.7)
     assert (found[low] == 7).mean() > 0.95
     assert (found[ground] == 7).mean() < 0.002
@@ -187,9 +187,9 @@ def rough_cloud(density: float) -> np.ndarray:
 
 def test_no_planar_patch_is_refused_where_noise_matters() -> None:
     with pytest.raises(MethodRefusal, match=r"planar patches .* too few.* --sigma"):
-        classify(rough_cloud(12.0), "dong2018")
-    assert classify(rough_cloud(0.8), "dong2018").classification.size
-    assert classify(rough_cloud(12.0), "dong2018", sigma=0.1).decisions["statistics"]["dense"]
+        classify(rough_cloud(12.0), "dong2018", DEFAULTS)
+    assert classify(rough_cloud(0.8), "dong2018", DEFAULTS).classification.size
+    assert classify(rough_cloud(12.0), "dong2018", DEFAULTS, sigma=0.1).decisions["statistics"]["dense"]
 
 
 def test_a_thinning_cell_that_cannot_reach_the_density_is_refused() -> None:

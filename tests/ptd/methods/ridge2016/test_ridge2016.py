@@ -25,8 +25,8 @@ from tests.ptd.tiling import classify_tiled
 
 EVERYTHING = Window.everything()
 SCALE = Scale(Fraction(1, CM), Fraction(1, CM), (-7_123_456, 93_000_017))
-DEFAULTS = Ridge2016()
-SMALL = Ridge2016(max_building_size_m=6.0, rounds=4, low_radius_m=2.5, low_depth_m=2.0)
+DEFAULTS = Ridge2016(robust_cells=False)
+SMALL = Ridge2016(robust_cells=False, max_building_size_m=6.0, rounds=4, low_radius_m=2.5, low_depth_m=2.0)
 SAMPLES = ("11", "12", "22", "24", "31", "42", "51", "53")
 
 
@@ -120,7 +120,7 @@ def test_points_near_edges_are_told_where_they_could_change_the_last_round() -> 
 
 
 def test_partials_add_up_in_any_order() -> None:
-    step = Ridge2016(rounds=2).passes[0]
+    step = Ridge2016(rounds=2, robust_cells=False).passes[0]
     parts = [
         {"points": 700, "gained": [200, 1], "unsure": [1, 1]},
         {"points": 300, "gained": [100, 0], "unsure": [0, 0]},
@@ -144,7 +144,7 @@ def test_a_count_near_the_edge_of_a_window_is_not_certain() -> None:
 
 
 def test_without_a_growth_to_watch_there_is_one_pass() -> None:
-    (only,) = Ridge2016(growth=0.0, rounds=3).passes
+    (only,) = Ridge2016(growth=0.0, rounds=3, robust_cells=False).passes
     model = only.fit(Points(SCENES["plane"](np.random.default_rng(1))), EVERYTHING, EVERYTHING, SCALE, {})
     assert model.stats["rounds"] <= 3
     assert only.reduce([model.partial()], {"kept": 1}) == {"kept": 1}
@@ -152,12 +152,12 @@ def test_without_a_growth_to_watch_there_is_one_pass() -> None:
 
 def test_the_last_pass_has_the_tin_of_the_round_that_was_decided() -> None:
     cloud = SCENES["hills_with_houses"](np.random.default_rng(7))
-    params = Ridge2016(growth=0.01)
+    params = Ridge2016(growth=0.01, robust_cells=False)
     result = ptd.classify(cloud.T / CM, "ridge2016", params)
     statistics = result.decisions["statistics"]["ridge2016"]
     last = statistics["rounds"]
     assert result.stats["ridge2016"]["rounds"] == last < result.stats["growth"]["rounds"]
-    one = ptd.classify(cloud.T / CM, "ridge2016", Ridge2016(growth=0.0, rounds=last))
+    one = ptd.classify(cloud.T / CM, "ridge2016", Ridge2016(growth=0.0, rounds=last, robust_cells=False))
     assert np.array_equal(one.classification, result.classification)
     assert one.stats["ridge2016"]["vertices"] == result.stats["ridge2016"]["vertices"]
     assert one.stats["ridge2016"]["seeds"] == result.stats["growth"]["seeds"]
@@ -227,6 +227,7 @@ def rough_roofs(seed: int) -> tuple[np.random.Generator, Cloud, Ridge2016]:
         ridge_radius_m=float(rng.choice([0.5, 2.0, 5.0])), seed_confidence=float(rng.choice([0.5, 0.8, 0.98])),
         low_radius_m=2.5, low_depth_m=2.0, low_group=int(rng.choice([0, 1, 5])),
         label_floor_m=float(rng.choice([0.0, 0.3])), growth=0.0, rounds=int(rng.choice([1, 2, 3, 5])),
+        robust_cells=False,
     )  # fmt: skip
     return rng, cloud, params
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import Scale, Window
-from ptd.methods.auto.penetration import CELL_M, REACH_M, seen_through
+from ptd.matched.penetration import CELL_M, REACH_M, seen_through
 
 MM = Scale()
 

@@ -1,0 +1,155 @@
+"""Methods made for laser scans, or for the lowest points, on an unbiased surface of matched clouds.
+
+The papers' seeds and vertices are the lowest points of cells. In a matched cloud these are blunders, or the lower end
+of the noise. So there a method is given one robust height per cell (`ptd.matched.cells`) instead of the points, and
+what it finds to be ground among those is the surface against which all points are judged, to both sides, with the noise
+around them and the vote of their neighbours, as in `auto` (`ptd.matched.passes`). `either_way` makes the passes of a
+method do so where the survey finds a matched cloud; laser scans are filtered as ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+
+from ptd.frame import Cells, Scale, Window
+from ptd.ground.labelling import GROUND
+from ptd.matched import facets, surface, voting
+from ptd.matched.cells import CELL_M, raster_of
+from ptd.matched.passes import GROUND_M, CellPass, GroundModel, MatchedPass, is_matched, noise_m
+from ptd.matched.survey import DIM, LIDAR, SurveyPass
+from ptd.params import parameter
+from ptd.passes import Model, Pass, Points, State, noted
+
+
+@dataclass(frozen=True)
+class OnCells:
+    """The parameter of methods that `either_way` applies to, for `ptd.params.like`."""
+
+    robust_cells: bool = parameter(
+        True, "matched clouds: start from one robust height per cell of 1 m and judge points to both sides of the "
+        "ground; no: from the lowest points, as the paper has it",
+    )  # fmt: skip
+
+
+def either_way(own: Sequence[Pass], on_cells: Sequence[Pass] | None = None, *notes: str) -> tuple[Pass, ...]:
+    """Passes of a method that starts from robust cells where a cloud is matched.
+
+    Parameters
+    ----------
+    own : sequence of Pass
+        Those of laser scans.
+    on_cells : sequence of Pass, optional
+        Those that work on the cells and label them; the same if left out.
+    *notes : str
+        What else is told of a matched cloud.
+    """
+    cells = own if on_cells is None else on_cells
+    return (
+        MethodSurveyPass(notes=notes),
+        *(OfLaser.of(step) for step in own),
+        CellPass(),
+        *(OfCells.of(step, f"{step.name}-of-cells") for step in cells),
+        NearGroundPass(),
+    )
+
+
+@dataclass(frozen=True)
+class MethodSurveyPass(SurveyPass):
+    """What made the cloud; not asked of one that is said to be a laser scan."""
+
+    notes: tuple[str, ...] = ()
+
+    def applies(self, state: State) -> bool:
+        """Unless the user says that it is a laser scan."""
+        return bool(state["run"].get("kind") != LIDAR)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """And what follows from it."""
+        after = super().reduce(partials, state)
+        if after["survey"]["kind"] != DIM:
+            return after
+        line = (
+            f"decided: starts from one robust height per cell of {CELL_M:g} m, not the lowest point; ground is up to "
+            f"{GROUND_M:g} m and the local noise from the surface, after a vote of neighbours "
+            "(as the paper has it: --set robust_cells=no)"
+        )
+        return {**after, "notes": noted(after, line, *self.notes)}
+
+
+@dataclass(frozen=True)
+class _Wrapped(Pass):
+    """A pass with another condition."""
+
+    step: Pass
+    name: str
+    columns: tuple[str, ...]
+    every_point: bool
+    gives_labels: bool
+    halo_m: float | None
+    reach_m: float | None
+
+    @classmethod
+    def of(cls, step: Pass, name: str | None = None) -> Self:
+        """Wrap a pass, under another name if one is given."""
+        told = {
+            f.name: getattr(step, f.name) for f in fields(cls) if f.name not in ("step", "name", "elected")
+        }
+        return cls(step=step, name=name or step.name, **told)
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+        """What the pass does."""
+        return self.step.fit(points, window, core, scale, state)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """What the pass does."""
+        return self.step.reduce(partials, state)
+
+
+@dataclass(frozen=True)
+class OfLaser(_Wrapped):
+    """A pass on points, where the cloud is no matched one."""
+
+    kind = LIDAR
+
+    def applies(self, state: State) -> bool:
+        """Not where the survey found image matching."""
+        return not ("survey" in state and is_matched(state)) and self.step.applies(state)
+
+
+@dataclass(frozen=True)
+class OfCells(_Wrapped):
+    """A pass on the cells of a matched cloud."""
+
+    kind = DIM
+    elected: bool = True
+
+    def applies(self, state: State) -> bool:
+        """Only where the survey found image matching."""
+        return "survey" in state and is_matched(state) and self.step.applies(state)
+
+
+@dataclass(frozen=True)
+class NearGroundPass(MatchedPass):
+    """Every point against the TIN of the cells that are ground."""
+
+    name: str = "near-ground"
+    columns: tuple[str, ...] = ("labels",)
+    elected: bool = True
+    reach_m: float | None = facets.reach_m() + (surface.noise_reach_cells() + 3) * CELL_M
+    label_margin_m: float = voting.REACH_M
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GroundModel:
+        """Lay the TIN below the cells."""
+        cells, ground = Cells.of(CELL_M, scale), points.known_labels() == GROUND
+        if not ground.any():
+            return GroundModel(None, {"cells": 0})
+        heights = facets.ground_heights(*points.columns(), ground, scale)
+        raster = raster_of(points.xyz, cells)
+        below = np.full(raster.heights.size, np.nan)
+        below[raster.keys] = heights
+        found = surface.with_noise(raster.heights, below.reshape(raster.heights.shape), noise_m(state), scale)
+        return GroundModel.of(found, raster, cells, scale, state)

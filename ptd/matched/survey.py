@@ -1,0 +1,127 @@
+"""What made a cloud, a laser scanner or the matching of images, and its density and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from ptd.frame import Scale, Window
+from ptd.ground import roughness
+from ptd.ground.roughness import Roughness
+from ptd.matched import penetration
+from ptd.passes import Measured, Pass, Points, State, noted
+
+LIDAR, DIM = "lidar", "dim"
+SEVERAL_SHARE = 0.001
+"""Share of points that are one of several returns from which on the cloud is a laser scan."""
+SEEN_THROUGH_SHARE = 0.004
+"""Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be:
+0.006 to 0.28 in real laser scans of 4 points/m2 or more (0.0002 in a simulated one without trees), 0 to 0.003 in
+matched clouds, of which those of wooded cliffs have most."""
+MATCHED_M2 = 4.0
+"""Points per square metre from which on a cloud without returns can be told as matched by what is seen through."""
+LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M = 0.03, 0.25
+"""Noise that the rules of matched clouds start from: errors of neighbours are alike, which planes do not see; and among
+trees nothing is smooth."""
+
+
+class Seen(NamedTuple):
+    """Counts of a run.
+
+    Attributes
+    ----------
+    told, several : int
+        Points of which the number of returns is known; those that are one of several.
+    looks, through : int
+        Cells with points; those that are seen through (`ptd.matched.penetration`).
+    """
+
+    told: int
+    several: int
+    looks: int
+    through: int
+
+
+def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """What a run is, and a line that says so.
+
+    Parameters
+    ----------
+    found : Roughness
+        Density and noise.
+    seen : Seen
+    run : mapping
+        `ptd.passes.RunFacts`.
+
+    Returns
+    -------
+    survey : dict
+        ``kind`` (`LIDAR`, `DIM`: image matching, which has single returns alone and does not see through plants),
+        ``density_m2``, ``sigma_m`` (None: not known), ``cell_sigma_m`` (noise that the rules of matched clouds start
+        from), ``several`` (share of points).
+    note : str
+    """
+    share = seen.several / seen.told if seen.told else 0.0
+    through = seen.through / seen.looks if seen.looks else 0.0
+    if run.get("kind") is not None:
+        kind, why = run["kind"], "as --kind or the preset says"
+    elif share >= SEVERAL_SHARE:
+        kind, why = LIDAR, f"{100 * share:.2g} % of the points are one of several returns"
+    elif through >= SEEN_THROUGH_SHARE:
+        kind = LIDAR
+        why = f"pulses passed through plants in {100 * through:.2g} % of the area, though each point is a single return"
+    elif found.density_m2 < MATCHED_M2:
+        kind, why = LIDAR, f"fewer than {MATCHED_M2:g} points/m2, and no returns that say more"
+    else:
+        kind, why = DIM, "no point is one of several returns, and nothing is seen through plants"
+    given = run["sigma_m"]
+    sigma = found.sigma_m if given is None else given
+    cell_sigma = found.smoothest_m if given is None else given
+    cell_sigma = LEAST_CELL_SIGMA_M if cell_sigma is None else cell_sigma
+    cell_sigma = min(max(cell_sigma, LEAST_CELL_SIGMA_M), MOST_CELL_SIGMA_M)
+    survey = {
+        "kind": kind, "density_m2": found.density_m2, "sigma_m": sigma, "cell_sigma_m": cell_sigma, "several": share,
+    }  # fmt: skip
+    noise = cell_sigma if kind == DIM else sigma
+    told = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
+    named = "image matching" if kind == DIM else "laser scanning"
+    return survey, f"decided: {named} ({why}); {found.density_m2:.3g} points/m2, {told}"
+
+
+@dataclass(frozen=True)
+class SurveyPass(Pass):
+    """Density, noise and returns, and what made the cloud."""
+
+    name: str = "survey"
+    columns: tuple[str, ...] = ("returns",)
+    every_point: bool = True
+    gives_labels: bool = False
+    reach_m: float | None = max(roughness.REACH_M, penetration.REACH_M)
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+        """Count."""
+        counts = {"told": 0, "several": 0, "looks": 0, "through": 0}
+        if state["run"].get("kind") is None:
+            counts |= penetration.seen_through(points.xyz, core, scale)
+        if points.returns is not None:
+            x, y = points.xyz[:2]
+            own = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
+            of = points.returns[1, own]
+            counts |= {"told": int((of > 0).sum()), "several": int((of > 1).sum())}
+        found = roughness.measure(points.xyz, window, core, scale) | counts
+        return Measured(found, {"points": found["points"]})
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """``survey``: see `surveyed`."""
+        parts = list(partials)
+        seen = Seen(*(sum(p[name] for p in parts) for name in Seen._fields))
+        survey, notes = self.decided(roughness.merge(parts), seen, state["run"])
+        return {**state, "survey": survey, "notes": noted(state, *notes)}
+
+    def decided(
+        self, found: Roughness, seen: Seen, run: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], list[str]]:
+        """What the run is, and lines that say so."""
+        survey, note = surveyed(found, seen, run)
+        return survey, [note]
