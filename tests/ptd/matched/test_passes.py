@@ -60,7 +60,7 @@ def test_noise_is_that_of_the_smoothest_places_within_limits(
     ("density", "seen", "expected"),
     [
         (12.0, Seen(0, 0, 1000, 0), "dim"),
-        (12.0, Seen(9000, 0, 1000, 4), "dim"),
+        (12.0, Seen(9000, 0, 1000, 3), "dim"),
         (12.0, Seen(0, 0, 1000, 20), "lidar"),
         (12.0, Seen(9000, 90, 1000, 0), "lidar"),
         (3.0, Seen(0, 0, 1000, 0), "lidar"),
