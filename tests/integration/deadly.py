@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from tiler.filter import filter_tile
-from tiler.ingest import assemble_buckets
+from tiler.core.lattice import Cell
+from tiler.filter import FilterTile, filter_tile
+from tiler.ingest import AssembleBuckets, assemble_buckets
 
 CELL = "TILER_TEST_DEADLY_CELL"
 DEED = "TILER_TEST_DEED"
 
 
-def deadly_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def deadly_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     """`filter_tile`, but for the tile that holds a bucket named in the environment."""
     cell = [int(v) for v in os.environ[CELL].split(",")]
-    if cell in args["cells"]:
+    if Cell(*cell) in work.cells:
         deed = os.environ[DEED]
         if deed == "exit":
             os._exit(1)
@@ -26,12 +27,12 @@ def deadly_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
             np.ones(1 << 32)
         if deed == "sleep":
             time.sleep(600)
-    return filter_tile(store_url, args)
+    return filter_tile(store_url, work)
 
 
-def failing_group(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def failing_group(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
     """`assemble_buckets`, but for the group that holds a bucket named in the environment."""
     cell = [int(v) for v in os.environ[CELL].split(",")]
-    if any(bucket[:2] == cell for bucket in args["buckets"]):
+    if any(bucket.cell == Cell(*cell) for bucket in work.buckets):
         raise RuntimeError("this group fails")
-    return assemble_buckets(store_url, args)
+    return assemble_buckets(store_url, work)

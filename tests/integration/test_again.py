@@ -16,7 +16,7 @@ from tests.invariants.runs import classes_by_point, computed, do, dtm, output_di
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ConfigError, InputError, ProcessingError
-from tiler.filter import filter_tile
+from tiler.filter import FilterTile, filter_tile
 from tiler.pipeline import RunResult, run
 from tiler.simulate import DemoScene
 
@@ -219,8 +219,8 @@ def test_a_tile_that_fails_leaves_no_old_labels(
     _, (_, record) = max(the_store(out).committed("filter0").items())
     broken = record["cells"]
 
-    def work(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        if arguments["cells"] == broken:
+    def work(store_url: str, arguments: FilterTile) -> dict[str, Any]:
+        if [[cell.ix, cell.iy] for cell in arguments.cells] == broken:
             raise ProcessingError("this tile fails")
         return filter_tile(store_url, arguments)
 
@@ -245,7 +245,7 @@ def test_a_tile_that_fails_leaves_no_old_labels(
 def test_a_tile_that_fails_stops_a_strict_run(
     demo: DemoScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def work(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    def work(store_url: str, arguments: FilterTile) -> dict[str, Any]:
         raise ZeroDivisionError("no tile succeeds")
 
     monkeypatch.setattr("tiler.stages.tasks.filter_tile", work)

@@ -28,7 +28,7 @@ def remove_at(name: str, place: Path, early: bool, monkeypatch: pytest.MonkeyPat
     """Remove a folder before, or after, a task of this kind is done for the first time."""
     work = getattr(WORKS[name], name)
 
-    def removing(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    def removing(store_url: str, arguments: Any) -> dict[str, Any]:
         if early:
             shutil.rmtree(place, ignore_errors=True)
         record: dict[str, Any] = work(store_url, arguments)

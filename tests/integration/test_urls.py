@@ -18,7 +18,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import dtm, settings
 from tests.tiler.servers import ftp_server, http_server
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import inspect, spool_piece
+from tiler.ingest import SpoolPiece, inspect, spool_piece
 from tiler.io.locations import cloud_path, list_clouds, location, state_of
 from tiler.pipeline import RunResult, run
 from tiler.stages import tasks
@@ -108,9 +108,9 @@ def test_an_object_that_is_replaced_is_left_out(
     path = clouds.write(folder / "b" / "c.las", cloud)
     back = clouds.write(tmp_path / "back.las", clouds.Cloud(cloud.xyz[::-1], cloud.truth[::-1]))
 
-    def changed(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    def changed(store_url: str, work: SpoolPiece) -> dict[str, Any]:
         os.replace(back, path)
-        return spool_piece(store_url, arguments)
+        return spool_piece(store_url, work)
 
     monkeypatch.setattr(tasks, "spool_piece", changed)
     with pytest.raises(InputError, match="c.las: left out: was replaced or written to while the run went on"):

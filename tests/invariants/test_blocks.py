@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -49,10 +50,10 @@ def test_each_block_is_one_task_and_none_shows(quarter_files: list[Path], tmp_pa
     labels = label_digests(assembled, store.committed("filter0"))
     spec = raster_spec(plan, assembled)
     tasks = list(grid_tasks(plan, assembled, labels, "dtm"))
-    blocks = [Block(*task.arguments["block"]) for task in tasks]
+    blocks = [task.arguments.block for task in tasks]
     assert blocks == list(spec.blocks(512))
     assert len({task.key for task in tasks}) == 4
-    whole = {**tasks[0].arguments, "block": [0, 0, spec.height, spec.width], "max_points": 10**9}
+    whole = replace(tasks[0].arguments, block=Block(0, 0, spec.height, spec.width), max_points=10**9)
     heights, _ = block_heights(store, whole)
     pixels, transform = dtm(out)
     assert pixels.tobytes() == heights.tobytes()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from tiler.config import RunConfig
 from tiler.errors import ConfigError
-from tiler.export import write_classified
+from tiler.export import WriteClassified, write_classified
 from tiler.filter import LABELS
 from tiler.ingest import inspect, inspect_guarded, read_guarded
 from tiler.io.overwrite_check import Target, check_targets
@@ -78,15 +79,14 @@ def _classify(
     with TemporaryDirectory(prefix=".tiler-", dir=target.parent) as scratch:
         summary = run([str(source)], scratch, config.updated(store=None), listener, until="filter").summary
         store = open_store(str(Path(scratch) / "store.zarr"))
-        arguments = {
-            "path": str(source), "source": 0, "out": str(target), "labels": LABELS, "salvage": config.salvage,
-            "stamp": info.stamp,
-            "cells": [[cell.ix, cell.iy] for cell in store.buckets()],
-        }  # fmt: skip
+        work = WriteClassified(
+            path=str(source), source=0, out=str(target), labels=LABELS, cells=tuple(store.buckets()),
+            salvage=config.salvage, stamp=info.stamp,
+        )  # fmt: skip
         if config.in_process:
-            record = write_classified(store.url, arguments)
+            record = write_classified(store.url, work)
         else:  # other fields of the records are decoded now, which may crash where the coordinates did not
-            record = read_guarded(guard, _write, source, store.url, arguments)
+            record = read_guarded(guard, _write, source, store.url, work)
     written = {name: record[name] for name in ("points", "changed", "classes", "bytes", "notes")}
     return {
         **written, "seconds": summary["seconds"], "method": config.method,
@@ -96,6 +96,6 @@ def _classify(
     }  # fmt: skip
 
 
-def _write(source: Path, store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+def _write(source: Path, store_url: str, work: WriteClassified) -> dict[str, Any]:
     """`write_classified` with the file that it reads as its first argument."""
-    return write_classified(store_url, {**arguments, "path": str(source)})
+    return write_classified(store_url, replace(work, path=str(source)))

@@ -4,5 +4,17 @@ from tiler.export.classified import write_classified
 from tiler.export.cog import write_cog
 from tiler.export.contours import write_contours, write_spots
 from tiler.export.mosaic import write_mosaic
+from tiler.export.work import WriteClassified, WriteCog, WriteContours, WriteMosaic, WriteSpots
 
-__all__ = ["write_classified", "write_cog", "write_contours", "write_mosaic", "write_spots"]
+__all__ = [
+    "WriteClassified",
+    "WriteCog",
+    "WriteContours",
+    "WriteMosaic",
+    "WriteSpots",
+    "write_classified",
+    "write_cog",
+    "write_contours",
+    "write_mosaic",
+    "write_spots",
+]

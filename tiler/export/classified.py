@@ -17,11 +17,11 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.area import Area
 from tiler.core.edits import OF_POINTS
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
+from tiler.export.work import WriteClassified
 from tiler.io.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
@@ -41,17 +41,13 @@ _MARK = 0x80
 _WAVE_FORMATS = (9, 10)
 
 
-def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
     """Write one source with its new classes.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``path`` (str) and ``source`` (int) of the input; ``out`` (str, the final name, a path or URL); ``labels`` (str,
-        the name of the final labels); ``cells`` ([[ix, iy], ...], the buckets that hold points of it);
-        ``salvage`` (bool); ``stamp`` (of the input, as the plan found it); ``area`` (str, key in the store, or None);
-        ``edits`` (str, key in the store of corrections, or None).
+    work : WriteClassified
         A label of 0, a point that the store does not hold and one outside of the area keep the source's class.
 
     Returns
@@ -68,26 +64,21 @@ def write_classified(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         The file cannot be written, or lazrs cannot compress it without loss.
     """
     store = open_store(store_url)
-    path, salvage = cloud_path(args["path"]), bool(args.get("salvage", False))
-    place, name = os.path.split(args["out"])
-    with unchanged(path, args.get("stamp"), salvage) as header, folder_for(place) as folder:
+    place, name = os.path.split(work.out)
+    with unchanged(cloud_path(work.path), work.stamp, work.salvage) as header, folder_for(place) as folder:
         header = replace(header, point_count=count_decodable(header))  # as it was read, if salvaged
-        record = _write(store, header, args, folder / name)
-    return {**record, "state": state_of(cloud_path(args["out"])).to_json()}
+        record = _write(store, header, work, folder / name)
+    return {**record, "state": state_of(cloud_path(work.out)).to_json()}
 
 
-def _write(store: TileStore, header: LasHeader, args: dict[str, Any], out: Path) -> dict[str, Any]:
+def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path) -> dict[str, Any]:
     """Write a cloud on this machine; the record of `write_classified`."""
     partial = partial_path(out)
-    cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with open_cloud(header.path) as source, open(partial, "w+b") as target:
             notes = _write_front(header, source, target)
-            area = store.area(args.get("area"))
-            record = _write_points(
-                header, target, store, int(args["source"]), args["labels"], cells, area, args.get("edits")
-            )
+            record = _write_points(header, target, store, work)
             _write_back(header, source, target)
             target.flush()
             os.fsync(target.fileno())
@@ -165,14 +156,7 @@ def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
 
 
 def _write_points(
-    header: LasHeader,
-    target: BinaryIO,
-    store: TileStore,
-    source: int,
-    labels: str,
-    cells: Sequence[Cell],
-    area: Area | None,
-    edits: str | None,
+    header: LasHeader, target: BinaryIO, store: TileStore, work: WriteClassified
 ) -> dict[str, Any]:
     """All records in their order with their new classes."""
     classes = np.zeros(256, dtype=np.int64)
@@ -184,7 +168,7 @@ def _write_points(
     with PointReader(header, EVERYTHING) as reader:
         for first in range(0, header.point_count, ROWS_AT_ONCE):
             last = min(first + ROWS_AT_ONCE, header.point_count)
-            found = collect_labels(store, source, labels, cells, first, last, area, edits)
+            found = collect_labels(store, work, first, last)
             for start in range(first, last, step):
                 stop = min(start + step, last)
                 records = reader.read(start, stop - start)
@@ -218,32 +202,23 @@ def _channels(header: LasHeader, records: Records) -> set[int]:
     return set(np.unique((records["classification_flags"] >> 4) & 3).tolist())
 
 
-def collect_labels(
-    store: TileStore,
-    source: int,
-    labels: str,
-    cells: Sequence[Cell],
-    first: int,
-    last: int,
-    area: Area | None = None,
-    edits: str | None = None,
-) -> npt.NDArray[np.uint8]:
+def collect_labels(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.uint8]:
     """Final classes of the rows ``first`` to ``last`` of a source, uint8; 0 where the store or the area has none."""
-    found = np.zeros(last - first, dtype=np.uint8)
-    for cell in cells:
+    found, area = np.zeros(last - first, dtype=np.uint8), store.area(work.area)
+    for cell in work.cells:
         whole = area is None or area.covers(store.meta.bucket.bounds(cell))
         block = store.read_bucket(cell, columns=("origin",) if whole else ("origin", "xyz"))
         if block.origin is None:
             continue
         sources, rows = unpack_origin(block.origin)
-        mine = (sources == source) & (rows >= first) & (rows < last)
+        mine = (sources == work.source) & (rows >= first) & (rows < last)
         if area is not None and not whole:
             x, y = (block.xyz[axis].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
             mine &= area.inside(x, y)
         if mine.any():
-            final = store.read_labels(labels, cell)
-            if edits is not None:
-                final = _corrected(store, edits, cell, final)
+            final = store.read_labels(work.labels, cell)
+            if work.edits is not None:
+                final = _corrected(store, work.edits, cell, final)
             found[rows[mine] - first] = final[mine] & ~np.uint8(_MARK)
     return found
 

@@ -25,6 +25,7 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.geotiff import CACHE_MB, TILE, RasterLook, plain_geotiff, raster_errors
+from tiler.export.work import ProductFile, WriteCog
 from tiler.io.locations import cloud_path, digest_of_file, folder_for, joined, partial_path, state_of
 from tiler.store import TileStore, open_store
 
@@ -67,7 +68,7 @@ class Statistics:
         return tags
 
 
-def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
     """Write a raster of the store as ``<out>/<name>.tif``; a `tiler.schedule.task.Work`.
 
     The same content gives the same bytes: nothing in the file tells of time, path, workers or tiles.
@@ -75,14 +76,7 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``: of the file. ``raster``: in the store (default: ``name``). ``product``: key of `PRODUCTS`, for the
-        type and looks (default: dtm). ``spec``: `RasterSpec` as JSON. ``out``: folder that exists, or a URL.
-        ``compress``: ``deflate`` or ``zstd``. ``tags``: mapping of str to str, the provenance (TILER_VERSION,
-        TILER_METHOD, TILER_PARAMETERS, TILER_INPUTS). For a sheet ``whole``: `RasterSpec` of the raster in the store
-        as JSON, ``spec`` being the sheet's. ``area``: key in the store of the area that is wanted, or None.
-        ``fill``: value beyond raster and area. ``nodata``: of the file (default: that of
-        the store).
+    work : WriteCog
 
     Returns
     -------
@@ -95,19 +89,19 @@ def write_cog(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     ProcessingError
         The disk is full or the file cannot be written.
     """
-    store, spec = open_store(store_url), RasterSpec.from_json(args["spec"])
-    with folder_for(args["out"]) as folder:
-        record = _write(store, spec, args, folder / f"{args['name']}.tif")
-    return {**record, "state": state_of(cloud_path(joined(args["out"], record["path"]))).to_json()}
+    store = open_store(store_url)
+    with folder_for(work.out) as folder:
+        record = _write(store, work, folder / f"{work.name}.tif")
+    return {**record, "state": state_of(cloud_path(joined(work.out, record["path"]))).to_json()}
 
 
-def _write(store: TileStore, spec: RasterSpec, args: dict[str, Any], target: Path) -> dict[str, Any]:
+def _write(store: TileStore, work: WriteCog, target: Path) -> dict[str, Any]:
     """Write a raster on this machine; the record of `write_cog`."""
     plain, partial = (partial_path(target, kind) for kind in ("plain", "cog"))
     try:
-        statistics = _write_plain(store, spec, args, plain)
-        _copy_as_cog(plain, partial, args["compress"], _product(args))
-        _check(partial, spec)
+        statistics = _write_plain(store, work, plain)
+        _copy_as_cog(plain, partial, work.compress, _product(work))
+        _check(partial, work.spec)
         _publish(partial, target)
     finally:
         for scratch in (plain, partial, *target.parent.glob(f"{partial.name}.*")):
@@ -118,7 +112,7 @@ def _write(store: TileStore, spec: RasterSpec, args: dict[str, Any], target: Pat
         "path": target.name,
         "bytes": target.stat().st_size,
         "digest": digest_of_file(target),
-        "pixels": spec.height * spec.width,
+        "pixels": work.spec.height * work.spec.width,
         "valid": statistics.n,
         "min": statistics.low if found else None,
         "max": statistics.high if found else None,
@@ -126,21 +120,21 @@ def _write(store: TileStore, spec: RasterSpec, args: dict[str, Any], target: Pat
     }
 
 
-def _product(args: dict[str, Any]) -> Product:
+def _product(work: ProductFile) -> Product:
     """The product, with the nodata value that its file is to have."""
-    product = PRODUCTS[args.get("product", "dtm")]
-    return replace(product, nodata=args["nodata"]) if args.get("nodata") is not None else product
+    product = PRODUCTS[work.product]
+    return product if work.nodata is None else replace(product, nodata=work.nodata)
 
 
-def _write_plain(store: TileStore, spec: RasterSpec, args: dict[str, Any], path: Path) -> Statistics:
+def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
     """Copy the raster block by block, row by row from the north-west."""
-    statistics, nodata = Statistics(), PRODUCTS[args.get("product", "dtm")].nodata
-    look, area = raster_look(store.meta.frame, args), store.area(args.get("area"))
+    spec, statistics, nodata = work.spec, Statistics(), PRODUCTS[work.product].nodata
+    look, area = raster_look(store.meta.frame, work), store.area(work.area)
     with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
         for block in spec.blocks(TILE):
-            values = _read(store, spec, args, block)
+            values = _read(store, work, block)
             if area is not None:
-                values = np.where(spec.inside(block, area), values, np.float32(args["fill"]))
+                values = np.where(spec.inside(block, area), values, np.float32(work.fill))
             statistics = statistics.merged(values, nodata)
             if nodata is None or np.any(values != np.float32(nodata)):
                 if look.nodata != nodata:
@@ -150,28 +144,27 @@ def _write_plain(store: TileStore, spec: RasterSpec, args: dict[str, Any], path:
     return statistics
 
 
-def _read(store: TileStore, spec: RasterSpec, args: dict[str, Any], block: Block) -> npt.NDArray[np.float32]:
+def _read(store: TileStore, work: WriteCog, block: Block) -> npt.NDArray[np.float32]:
     """A block of the file; where it reaches beyond the raster of the store it holds ``fill``."""
-    name = args.get("raster", args["name"])
-    if "whole" not in args:
-        return store.read_block(name, block)
-    whole = RasterSpec.from_json(args["whole"])
+    spec, whole = work.spec, work.whole
+    if whole is None:
+        return store.read_block(work.raster, block)
     row, col = block.row + whole.north - spec.north, block.col + spec.west - whole.west
     top, left = max(row, 0), max(col, 0)
     bottom, right = min(row + block.height, whole.height), min(col + block.width, whole.width)
-    values = np.full((block.height, block.width), args["fill"], np.float32)
+    values = np.full((block.height, block.width), work.fill, np.float32)
     if top < bottom and left < right:
-        there = store.read_block(name, Block(top, left, bottom - top, right - left))
+        there = store.read_block(work.raster, Block(top, left, bottom - top, right - left))
         values[top - row : bottom - row, left - col : right - col] = there
     return values
 
 
-def raster_look(frame: CoordFrame, args: dict[str, Any]) -> RasterLook:
-    """What the file of a product says about itself; arguments as those of `write_cog`."""
-    product = _product(args)
+def raster_look(frame: CoordFrame, work: ProductFile) -> RasterLook:
+    """What the file of a product says about itself."""
+    product = _product(work)
     unit = unit_label(frame.units.vertical) if product.unit == HEIGHT else product.unit
     return RasterLook(
-        frame.crs_wkt, unit, product.description, args["tags"], product.dtype, product.nodata, product.colours,
+        frame.crs_wkt, unit, product.description, work.tags, product.dtype, product.nodata, product.colours,
         {f"VALUE_{value}": text for value, text in product.values.items()},
     )  # fmt: skip
 

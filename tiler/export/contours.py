@@ -16,6 +16,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.export.contour_lines import Joiner, contour_block, default_interval, smoothed, smoothing_reach
 from tiler.export.spots import HIGH, LOW, spots_of_block
+from tiler.export.work import DrawnFile, WriteContours, WriteSpots
 from tiler.io.locations import cloud_path, digest_of_file, folder_for, joined, state_of
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore, open_store
@@ -68,16 +69,13 @@ class _Terrain:
         return np.stack(((self.spec.west + x) * size, (self.spec.north - y) * size), axis=1)
 
 
-def write_contours(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
     """Write contour lines as ``<out>/contours.gpkg``; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``raster``: of heights in the store. ``spec``: its `RasterSpec` as JSON. ``out``: folder that exists, or a URL.
-        ``interval``: in vertical units of the CRS, as a fraction in text; None: by the relief. ``sigma``: pixels, of
-        the Gaussian that smooths the heights beforehand. ``area``: key in the store of the area that is wanted.
+    work : WriteContours
 
     Returns
     -------
@@ -85,15 +83,15 @@ def write_contours(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``path``, ``bytes``, ``digest``, ``state``; ``interval`` (units of the CRS), ``lines``, ``vertices``, ``cut``
         (lines that were divided, as too many vertices were waiting), ``low``, ``high`` (of the terrain, or None).
     """
-    terrain = _terrain(store_url, args)
+    terrain = _terrain(store_url, work)
     low, high = terrain.relief()
-    interval = default_interval(high - low) if args["interval"] is None else Fraction(args["interval"])
+    interval = default_interval(high - low) if work.interval is None else work.interval
     joiner, counts = Joiner(), np.zeros(2, np.int64)
 
     def fill(file: GeoPackage) -> None:
         waiting: list[tuple[int, Floats]] = []
         vertices = 0
-        for line in _lines(terrain, interval, float(args["sigma"]), joiner):
+        for line in _lines(terrain, interval, work.sigma, joiner):
             waiting.append(line)
             counts[:] += 1, len(line[1])
             vertices += len(line[1])
@@ -103,7 +101,7 @@ def write_contours(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         _add_lines(file, terrain, interval, waiting)
 
     return {
-        **_written(terrain, args["out"], "contours", fill),
+        **_written(terrain, work.out, "contours", fill),
         "interval": float(interval), "lines": int(counts[0]), "vertices": int(counts[1]), "cut": joiner.cut,
         "low": None if np.isnan(low) else low, "high": None if np.isnan(high) else high,
     }  # fmt: skip
@@ -138,24 +136,22 @@ def _add_lines(
     file.add("contours", "LineString", shapes, columns)
 
 
-def write_spots(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
     """Write the tops and bottoms of the terrain as points, ``<out>/spots.gpkg``; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``raster``, ``spec``, ``out``, ``area``: as those of `write_contours`. ``reach``: pixels around a spot in which
-        nothing is higher, or lower. ``interval``: as of the contours; by as much the terrain differs there.
+    work : WriteSpots
 
     Returns
     -------
     dict
         ``path``, ``bytes``, ``digest``, ``state``, ``interval``, ``highs``, ``lows``.
     """
-    terrain, reach = _terrain(store_url, args), int(args["reach"])
+    terrain, reach = _terrain(store_url, work), work.reach
     low, high = terrain.relief()
-    interval = default_interval(high - low) if args["interval"] is None else Fraction(args["interval"])
+    interval = default_interval(high - low) if work.interval is None else work.interval
     counts = {HIGH: 0, LOW: 0}
 
     def fill(file: GeoPackage) -> None:
@@ -176,13 +172,13 @@ def write_spots(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
                 columns = {"elevation": heights[rows, cols], "kind": np.full(len(rows), kind, object)}
                 file.add("spots", "Point", shapely.points(terrain.places(pixels)), columns)
 
-    record = _written(terrain, args["out"], "spots", fill)
+    record = _written(terrain, work.out, "spots", fill)
     return {**record, "interval": float(interval), "highs": counts[HIGH], "lows": counts[LOW]}
 
 
-def _terrain(store_url: str, args: dict[str, Any]) -> _Terrain:
+def _terrain(store_url: str, work: DrawnFile) -> _Terrain:
     store = open_store(store_url)
-    return _Terrain(store, args["raster"], RasterSpec.from_json(args["spec"]), store.area(args.get("area")))
+    return _Terrain(store, work.raster, work.spec, store.area(work.area))
 
 
 def _written(terrain: _Terrain, out: str, name: str, fill: Callable[[GeoPackage], None]) -> dict[str, Any]:

@@ -17,49 +17,47 @@ from tiler.core.raster import RasterSpec
 from tiler.errors import ProcessingError
 from tiler.export.cog import raster_look
 from tiler.export.geotiff import TILE, RasterLook, raster_errors
+from tiler.export.work import WriteMosaic
 from tiler.io.locations import appearing, cloud_path, digest_of_file, folder_for, joined, state_of
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
 
 
-def write_mosaic(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
     """Write ``<out>/<product>.vrt``; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``product``: key of `PRODUCTS`. ``out``: folder that exists, or a URL. ``sheets``: pairs of a path relative to
-        ``out`` and a `RasterSpec` as JSON, all on one lattice; at least one. ``tags``: as those of `write_cog`.
+    work : WriteMosaic
 
     Returns
     -------
     dict
         ``path`` (the file's name), ``bytes``, ``digest`` and ``state``, as `write_cog` gives them.
     """
-    frame, product = open_store(store_url).meta.frame, PRODUCTS[args["product"]]
-    sheets = [(path, RasterSpec.from_json(spec)) for path, spec in args["sheets"]]
-    whole = _hull([spec for _, spec in sheets])
+    frame, product = open_store(store_url).meta.frame, PRODUCTS[work.product]
+    whole = _hull([spec for _, spec in work.sheets])
     root = ElementTree.Element("VRTDataset", rasterXSize=str(whole.width), rasterYSize=str(whole.height))
     if frame.crs_wkt is not None:
         root.append(_srs(frame.crs_wkt))
     a, b, c, d, e, f = whole.transform(COUNTS_PER_UNIT)
     ElementTree.SubElement(root, "GeoTransform").text = ", ".join(repr(v) for v in (c, a, b, f, d, e))
-    _add_metadata(root, {"AREA_OR_POINT": "Area", **args["tags"]})
+    _add_metadata(root, {"AREA_OR_POINT": "Area", **work.tags})
     band = ElementTree.SubElement(root, "VRTRasterBand", dataType=_TYPES[product.dtype], band="1")
-    _describe_band(band, raster_look(frame, args))
-    for path, spec in sheets:
+    _describe_band(band, raster_look(frame, work))
+    for path, spec in work.sheets:
         _add_sheet(band, path, spec, whole, _TYPES[product.dtype])
     ElementTree.indent(root)
-    with folder_for(args["out"]) as folder:
-        target = folder / f"{args['product']}.vrt"
+    with folder_for(work.out) as folder:
+        target = folder / f"{work.product}.vrt"
         with raster_errors(target), appearing(target) as partial, open(partial, "wb") as stream:
             ElementTree.ElementTree(root).write(stream, encoding="utf-8")
             stream.flush()
             os.fsync(stream.fileno())
         record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
-    return {**record, "state": state_of(cloud_path(joined(args["out"], target.name))).to_json()}
+    return {**record, "state": state_of(cloud_path(joined(work.out, target.name))).to_json()}
 
 
 def _srs(crs: str) -> ElementTree.Element:

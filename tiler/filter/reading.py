@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections import OrderedDict
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,7 @@ from ptd.passes import Pass, Points
 from tiler.core.classes import MARK_BIT, participates
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
+from tiler.filter.work import FilterTile
 from tiler.store import BucketInfo, TileStore
 
 
@@ -33,24 +33,23 @@ class Bucket:
         return int(self.which.nbytes) + sum(int(c.nbytes) for c in columns if c is not None)
 
 
-class Reader:
+class TileReader:
     """Reads for one task.
 
     Parameters
     ----------
     store : TileStore
     step : Pass
-    args : dict
-        Of the task, see `tiler.filter.filter_tile`.
+    work : FilterTile
+        What the task is to do.
     """
 
-    def __init__(self, store: TileStore, step: Pass, args: dict[str, Any]) -> None:
-        self._store, self._step, self._args = store, step, args
+    def __init__(self, store: TileStore, step: Pass, work: FilterTile) -> None:
+        self._store, self._step, self._work = store, step, work
         self._columns = ("xyz", *(name for name in step.columns if name != "labels"))
-        self._labels = args["labels_in"] if "labels" in step.columns else None
-        self._elected_labels = args["elected_labels_in"] if "labels" in step.columns else None
+        self._labels = work.labels_in if "labels" in step.columns else None
+        self._elected_labels = work.elected_labels_in if "labels" in step.columns else None
         self._margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(step.label_margin_m)))))
-        self._cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
         self._near: dict[Cell, BucketInfo] | None = None
         self._held: OrderedDict[Cell, Bucket] = OrderedDict()
         self._held_bytes = 0
@@ -82,7 +81,7 @@ class Reader:
         if self._margin:  # its neighbours will ask for it again
             self._held[cell] = found
             self._held_bytes += found.size_bytes
-            while self._held_bytes > self._args["held_bytes"] and len(self._held) > 1:
+            while self._held_bytes > self._work.held_bytes and len(self._held) > 1:
                 self._held_bytes -= self._held.popitem(last=False)[1].size_bytes
         return found
 
@@ -92,7 +91,7 @@ class Reader:
             return [], False
         lattice, (ox, oy) = self._store.meta.bucket, self._store.meta.frame.origin
         if self._near is None:  # asked once: each time costs a look at the index
-            self._near = self._store.buckets_within(lattice.hull(self._cells).pad(self._margin))
+            self._near = self._store.buckets_within(lattice.hull(self._work.cells).pad(self._margin))
         seen = lattice.bounds(cell).pad(self._margin)
         found, marked = [], False
         for other in lattice.among(seen, self._near):
@@ -107,7 +106,7 @@ class Reader:
         return found, marked
 
     def _read(self, cell: Cell) -> Bucket:
-        if self._args["of_elected"]:
+        if self._work.of_elected:
             block = self._elected(self._store.meta.bucket.bounds(cell))
             return Bucket(self._as_points(block), np.ones(len(block), np.bool_), _any_marked(block))
         block = self._store.read_bucket(cell, (*self._columns, "classification", "flags"))
@@ -119,7 +118,9 @@ class Reader:
         return Bucket(self._as_points(block), which, _any_marked(block))
 
     def _elected(self, bounds: Bounds) -> PointBlock:
-        return self._store.elected(self._args["elected_in"], bounds, self._elected_labels)
+        if self._work.elected_in is None:
+            raise ValueError("no pass before elected any points")
+        return self._store.elected(self._work.elected_in, bounds, self._elected_labels)
 
     def _as_points(self, block: PointBlock) -> Points:
         labels = None if block.labels is None else block.labels & ~np.uint8(MARK_BIT)
@@ -130,7 +131,7 @@ class Reader:
     def _taking_part(self, block: PointBlock) -> npt.NDArray[np.bool_]:
         if block.classification is None or block.flags is None:
             raise ValueError("points were read without their classes and flags")
-        keep, skip = self._args["keep_classes"], self._args["skip_flags"]
+        keep, skip = self._work.keep_classes, self._work.skip_flags
         return participates(block.classification, block.flags, keep, skip)
 
 

@@ -17,7 +17,8 @@ from ptd.methods import METHODS
 from ptd.passes import Model, Pass, joined
 from tiler.core.classes import GROUND, LOW_NOISE, MARK_BIT, UNCLASSIFIED
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.filter.reading import Reader
+from tiler.filter.reading import TileReader
+from tiler.filter.work import FilterTile
 from tiler.store import TileStore, open_store
 
 LABELS = "labels"
@@ -35,7 +36,7 @@ def sight_m(step: Pass, params: Any) -> float:
     return float((REACH_CELLS + 1) * params.align_m + params.margin_m) if step.reach_m is None else 0.0
 
 
-def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     """Filter one tile.
 
     A core that carries a mark, or of whose statistics the pass is not certain, is done again with twice the halo, up
@@ -46,14 +47,7 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``method``, ``parameters`` (JSON of the dataclass), ``pass`` (number), ``state`` (of the passes before);
-        ``cells`` ([[ix, iy], ...], the buckets of the core); ``halo``, ``max_halo`` (counts); ``keep_classes``,
-        ``skip_flags``: see `tiler.core.classes.participates`; ``labels_in``, ``labels_out``: names in the store of
-        the labels of the pass before and of this one, or None; ``elected_in``, ``elected_labels_in``,
-        ``elected_out``: names of the points elected before, of their labels, and of those that this pass elects, or
-        None; ``of_elected``: the labels of this pass are those of elected points; ``held_bytes``: of buckets kept for
-        their neighbours.
+    work : FilterTile
 
     Returns
     -------
@@ -64,34 +58,33 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``stats`` of the model; of a pass that elects also ``elected`` (digest) and ``elected_points`` (of each cell).
     """
     store = open_store(store_url)
-    params = METHODS[args["method"]].params(**args["parameters"])
-    step = params.passes[args["pass"]]
+    params = METHODS[work.method].params(**work.parameters)
+    step = params.passes[work.number]
     scale = Scale(store.meta.frame.metres_xy, store.meta.frame.metres_z, store.meta.frame.origin)
-    cells = [Cell(int(ix), int(iy)) for ix, iy in args["cells"]]
-    core = store.meta.bucket.hull(cells)
-    halo, tries, area = int(args["halo"]), 0, 0
-    inner, reader = _local(core, store), Reader(store, step, args)
+    core = store.meta.bucket.hull(work.cells)
+    halo, tries, area = work.halo, 0, 0
+    inner, reader = _local(core, store), TileReader(store, step, work)
     while True:
         tries += 1
         window, known = _window(store, core.pad(halo), step, params)
         area += window.area()
         points, inherited = reader.window(window, params.candidate_cell_m)
-        model = step.fit(points, known, inner, scale, args["state"])
+        model = step.fit(points, known, inner, scale, work.state)
         labels = {}
-        for cell in cells if step.gives_labels else ():
+        for cell in work.cells if step.gives_labels else ():
             labels[cell], near = _label(reader, cell, model)
             inherited |= near
         marked = sum(int(np.count_nonzero(found & MARK_BIT)) for found in labels.values())
-        if (marked == 0 and model.uncertain() == 0) or halo >= args["max_halo"]:
+        if (marked == 0 and model.uncertain() == 0) or halo >= work.max_halo:
             break
-        halo = min(2 * halo, int(args["max_halo"]))
+        halo = min(2 * halo, work.max_halo)
     if inherited:  # what a doubtful label of the pass before may have changed
         labels = {cell: found | (found > 0) * np.uint8(MARK_BIT) for cell, found in labels.items()}
         marked = sum(int(np.count_nonzero(found)) for found in labels.values())
-    write = store.write_elected_labels if args["of_elected"] else store.write_labels
+    write = store.write_elected_labels if work.of_elected else store.write_labels
     for cell, found in labels.items():
-        write(args["labels_out"], cell, found)
-    elected = _elect(store, cells, model, args["elected_out"]) if step.elects else {}
+        write(work.labels_out, cell, found)
+    elected = {} if work.elected_out is None else _elect(store, work.cells, model, work.elected_out)
     given = np.concatenate(list(labels.values())) if labels else np.zeros(0, np.uint8)
     counts = np.bincount(given & ~np.uint8(MARK_BIT), minlength=256)
     return {
@@ -99,12 +92,12 @@ def filter_tile(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         "unclassified": int(counts[UNCLASSIFIED]), "kept": int(counts[KEEP]),
         "marked": marked, "tries": tries, "halo": halo,
         "window_points": len(points), "core_area": core.area(), "window_area": area,
-        "cells": args["cells"], "labels": digest_of_arrays(labels.values()), **elected,
+        "cells": [[cell.ix, cell.iy] for cell in work.cells], "labels": digest_of_arrays(labels.values()), **elected,
         "partial": model.partial(), "stats": model.stats,
     }  # fmt: skip
 
 
-def _label(reader: Reader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:
+def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:
     """Labels with marks of all points of a bucket, in its order, and whether a label around it was marked.
 
     Points that have no part in filtering are not shown to the model.

@@ -6,14 +6,42 @@ from tiler.grid.density import density_block
 from tiler.grid.derived import derive_block
 from tiler.grid.distance import distance_block
 from tiler.grid.edits import survey_edit
+from tiler.grid.ground import GroundRule
 from tiler.grid.mask import mask_block
 from tiler.grid.surface import DEEP_M, reach_pixels, surface_block
 from tiler.grid.survey import blocks_of, occupancy_block, survey_raster
 from tiler.grid.voids import fill_block, find_voids
+from tiler.grid.work import (
+    BlankBlocks,
+    DeriveBlock,
+    DistanceBlock,
+    FillBlock,
+    GridBlock,
+    MakeSurvey,
+    MaskBlock,
+    PointsBlock,
+    SurfaceBlock,
+    SurveyEdit,
+    Void,
+    VoidRasters,
+)
 
 __all__ = [
     "DEEP_M",
     "SMALLEST_PART",
+    "BlankBlocks",
+    "DeriveBlock",
+    "DistanceBlock",
+    "FillBlock",
+    "GridBlock",
+    "GroundRule",
+    "MakeSurvey",
+    "MaskBlock",
+    "PointsBlock",
+    "SurfaceBlock",
+    "SurveyEdit",
+    "Void",
+    "VoidRasters",
     "blank_blocks",
     "blocks_of",
     "density_block",

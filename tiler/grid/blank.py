@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
-from tiler.core.raster import Block
+from tiler.grid.work import BlankBlocks
 from tiler.store import open_store
 
 
-def blank_blocks(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def blank_blocks(store_url: str, work: BlankBlocks) -> dict[str, Any]:
     """Remove what is stored of some blocks, which then are the raster's fill; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``: of the raster in the store. ``blocks``: row, col, height, width of each.
+    work : BlankBlocks
 
     Returns
     -------
     dict
         ``blocks``: how many they were.
     """
-    open_store(store_url).erase_blocks(args["name"], [Block(*block) for block in args["blocks"]])
-    return {"blocks": len(args["blocks"])}
+    open_store(store_url).erase_blocks(work.name, work.blocks)
+    return {"blocks": len(work.blocks)}

@@ -8,7 +8,7 @@ that closer data beyond the window could change is marked. A block with marks is
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, replace
 from fractions import Fraction
 from functools import partial
 from typing import Any
@@ -29,11 +29,11 @@ from tiler.grid.checksum import checksum
 from tiler.grid.ground import (
     Choose,
     Ground,
-    GroundRule,
     central_points,
     ranked_points,
     read_ground,
 )
+from tiler.grid.work import GridBlock, TinBlock
 from tiler.store import TileStore, open_store
 
 SMALLEST_PART = 32
@@ -52,41 +52,13 @@ def full_halo(max_edge: Fraction) -> int:
     return math.ceil(2 * max_edge * (1 + Fraction(1, 1 << 19))) + 4
 
 
-@dataclass(frozen=True)
-class GridJob:
-    """The arguments of `grid_block`, read."""
-
-    spec: RasterSpec
-    block: Block
-    rule: GroundRule
-    data: Bounds
-    max_edge: Fraction
-    thin: Lattice | None
-    percent: int | None
-    interpolation: str
-    breaklines: str | None
-
-
-def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def grid_block(store_url: str, work: GridBlock) -> dict[str, Any]:
     """Write one block of a raster; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``: of the raster in the store. ``spec``: `RasterSpec` as JSON. ``block``: row, col, height, width,
-        aligned to the raster's chunks. ``data``: `Bounds` of all points of the run; there are no points beyond.
-        ``labels``: name of the pass that holds the final labels, None to trust the input's classes.
-        ``classes`` (default 2), ``skip_flags`` (default withheld), ``erode``, ``erode_rise``: see `GroundRule`.
-        ``interpolation``: ``linear`` (default), ``natural`` or ``idw``; all fill the same pixels.
-        ``max_edge``: counts, as a fraction in text; limit of a facet's longest edge and circumradius.
-        ``halo``, ``max_halo``: counts, to begin with and at most (default `full_halo`).
-        ``thin_cell``: counts, as a fraction in text, or None. Of the ground points of such a cell only one is used:
-        that at ``percent`` of their heights, or the central one where that is None. One value for the whole
-        run, as another one is another surface.
-        ``breaklines``: key in the store of lines that the surface follows, or None. ``edits``: key in the store of
-        corrections, which have the last word on what is ground and where there is a height, or None.
-        ``max_points``: a block whose window holds more is done in quarters (default: never).
+    work : GridBlock
 
     Returns
     -------
@@ -100,13 +72,12 @@ def grid_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         The window is too wide for the TIN, or the resolution too odd a fraction of the CRS's unit.
     """
     store = open_store(store_url)
-    spec, block = RasterSpec.from_json(args["spec"]), Block(*args["block"])
-    heights, record = _in_parts(store, args)
-    edited = edit_heights(store, args.get("edits"), spec, block, heights)
+    heights, record = _in_parts(store, work)
+    edited = edit_heights(store, work.rule.edits, work.spec, work.block, heights)
     if edited:
         filled = int(np.count_nonzero(heights != np.float32(NODATA)))
         record |= {"filled": filled, "nodata": heights.size - filled, "edited": edited}
-    store.write_block(args["name"], block, heights)
+    store.write_block(work.name, work.block, heights)
     return {**record, "checksum": checksum(heights)}
 
 
@@ -121,14 +92,13 @@ def edit_heights(
     return [] if edits is None else edits.set_heights(spec, block, heights)
 
 
-def _in_parts(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[str, Any]]:
+def _in_parts(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str, Any]]:
     """As `block_heights`, in quarters where the window is too wide or too full; same pixels."""
-    job = read_job(args)
-    if _too_wide(job, args["halo"]) and not store.buckets_within(_window(job, full_halo(job.max_edge))):
-        return _nothing(job.block, args["halo"])
-    if _too_full(store, args, args["halo"]):
-        return _in_quarters(store, args)
-    return block_heights(store, args)
+    if _too_wide(work, work.halo) and not store.buckets_within(_window(work, full_halo(work.max_edge))):
+        return _nothing(work.block, work.halo)
+    if _too_full(store, work, work.halo):
+        return _in_quarters(store, work)
+    return block_heights(store, work)
 
 
 def _nothing(block: Block, halo: int) -> tuple[Heights, dict[str, Any]]:
@@ -138,40 +108,40 @@ def _nothing(block: Block, halo: int) -> tuple[Heights, dict[str, Any]]:
     return heights, {"pixels": heights.size, "nodata": heights.size, **none, "tries": 1, "halo": halo}
 
 
-def _window(job: GridJob, halo: int) -> Bounds:
-    return job.spec.block_bounds(job.block).pad(halo)
+def _window(work: GridBlock, halo: int) -> Bounds:
+    return work.spec.block_bounds(work.block).pad(halo)
 
 
-def _too_wide(job: GridJob, halo: int) -> bool:
+def _too_wide(work: GridBlock, halo: int) -> bool:
     """Whether a block's window is too wide for a TIN."""
-    window = _window(job, halo)
+    window = _window(work, halo)
     return max(window.x1 - window.x0, window.y1 - window.y0) >= WIDEST_WINDOW
 
 
-def _too_full(store: TileStore, args: dict[str, Any], halo: int) -> bool:
+def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
     """Whether a block's window is too wide, or too full: of points the smallest part may hold any number."""
-    job = read_job(args)
-    if max(args["block"][2:]) > 1 and _too_wide(job, halo):
+    side = max(work.block.height, work.block.width)
+    if side > 1 and _too_wide(work, halo):
         return True
-    if "max_points" not in args or max(args["block"][2:]) <= SMALLEST_PART:
+    if work.max_points is None or side <= SMALLEST_PART:
         return False
-    held = [info.n for info in store.buckets_within(_window(job, halo)).values()]
-    if job.thin is not None and _by_bucket(store, job):
-        most = math.ceil(store.meta.bucket.size / job.thin.size + 1) ** 2
+    held = [info.n for info in store.buckets_within(_window(work, halo)).values()]
+    if work.thin is not None and _by_bucket(store, work):
+        most = math.ceil(store.meta.bucket.size / work.thin.size + 1) ** 2
         held = [min(points, most) for points in held]
-    return sum(held) > int(args["max_points"])
+    return sum(held) > work.max_points
 
 
-def _in_quarters(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[str, Any]]:
+def _in_quarters(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str, Any]]:
     """A block, quarter by quarter."""
-    row, col, height, width = args["block"]
+    row, col, height, width = astuple(work.block)
     heights = np.empty((height, width), np.float32)
     total: dict[str, Any] = {}
     for top, tall in ((0, height // 2), (height // 2, height - height // 2)):
         for left, wide in ((0, width // 2), (width // 2, width - width // 2)):
             if tall == 0 or wide == 0:
                 continue
-            part, record = _in_parts(store, {**args, "block": [row + top, col + left, tall, wide]})
+            part, record = _in_parts(store, replace(work, block=Block(row + top, col + left, tall, wide)))
             heights[top : top + tall, left : left + wide] = part
             total = {
                 k: (max if k in ("tries", "halo") else int.__add__)(total.get(k, 0), v)
@@ -180,8 +150,8 @@ def _in_quarters(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[
     return heights, total
 
 
-def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict[str, Any]]:
-    """Heights of any block, and the record, but for the checksum; arguments as those of `grid_block`.
+def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str, Any]]:
+    """Heights of any block, and the record, but for the checksum; see `grid_block`.
 
     Where marks ask for a wider window and that would hold too many points, quarters of the block go on.
 
@@ -191,28 +161,27 @@ def block_heights(store: TileStore, args: dict[str, Any]) -> tuple[Heights, dict
         Vertical units of the CRS, `NODATA` where there is none.
     record : dict
     """
-    job = read_job(args)
-    bounds = job.spec.block_bounds(job.block)
-    max_halo = args.get("max_halo") or full_halo(job.max_edge)
-    halo = min(max(args["halo"], math.ceil(job.spec.lattice.size)), max_halo)
+    bounds = work.spec.block_bounds(work.block)
+    max_halo = work.max_halo or full_halo(work.max_edge)
+    halo = min(max(work.halo, math.ceil(work.spec.lattice.size)), max_halo)
     tries = 1
     while True:
-        heights, record = _attempt(store, job, bounds.pad(halo))
+        heights, record = _attempt(store, work, bounds.pad(halo))
         if record["marked"] == 0 or halo >= max_halo:
             return heights, {**record, "tries": tries, "halo": halo}
         halo, tries = min(2 * halo, max_halo), tries + 1
-        if _too_full(store, args, halo):
-            heights, record = _in_quarters(store, args)
+        if _too_full(store, work, halo):
+            heights, record = _in_quarters(store, work)
             return heights, {**record, "tries": record["tries"] + 1}
 
 
-def _attempt(store: TileStore, job: GridJob, window: Bounds) -> tuple[Heights, dict[str, Any]]:
+def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Heights, dict[str, Any]]:
     """Heights of a block from what a window holds, and the record."""
-    ground, xyz = _ground(store, job, window)
-    if job.breaklines is not None:
-        lines = store.breaklines(job.breaklines)
-        xyz = lines.applied(xyz, window, job.data, store.meta.frame.origin)
-    raster = rasterise_window(store, job, window, xyz)
+    ground, xyz = _ground(store, work, window)
+    if work.breaklines is not None:
+        lines = store.breaklines(work.breaklines)
+        xyz = lines.applied(xyz, window, work.data, store.meta.frame.origin)
+    raster = rasterise_window(store, work, window, xyz)
     heights = heights_in_units(raster)
     filled = int(np.count_nonzero(heights != np.float32(NODATA)))
     return heights, {
@@ -226,31 +195,15 @@ def _attempt(store: TileStore, job: GridJob, window: Bounds) -> tuple[Heights, d
     }
 
 
-def read_job(args: dict[str, Any]) -> GridJob:
-    """The arguments of a task that grids a TIN."""
-    thin = args.get("thin_cell")
-    return GridJob(
-        RasterSpec.from_json(args["spec"]),
-        Block(*args["block"]),
-        GroundRule.from_args(args),
-        Bounds.from_json(args["data"]),
-        Fraction(args["max_edge"]),
-        None if thin is None else Lattice(Fraction(thin)),
-        args.get("percent"),
-        args.get("interpolation", "linear"),
-        args.get("breaklines"),
-    )
-
-
-def _ground(store: TileStore, job: GridJob, window: Bounds) -> tuple[Ground, npt.NDArray[np.int32]]:
+def _ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Ground, npt.NDArray[np.int32]]:
     """Ground points read, and the coordinates of those in the window that make the TIN."""
-    if job.thin is None:
-        ground = read_ground(store, job.rule, window)
+    if work.thin is None:
+        ground = read_ground(store, work.rule, window)
         return ground, ground.xyz
     # Cells that the window cuts are read whole, so that the choice in them is everybody's choice.
-    choose = _choice(job.thin, job.percent, store.meta.frame.origin)
-    at_once = choose if _by_bucket(store, job) else None
-    ground = read_ground(store, job.rule, job.thin.around(window), at_once)
+    choose = _choice(work.thin, work.percent, store.meta.frame.origin)
+    at_once = choose if _by_bucket(store, work) else None
+    ground = read_ground(store, work.rule, work.thin.around(window), at_once)
     origin, chosen = store.meta.frame.origin, choose(ground.xyz)
     xyz = ground.xyz[:, chosen]
     return ground, xyz[:, PointBlock(xyz).inside(window, origin)]
@@ -263,14 +216,14 @@ def _choice(cell: Lattice, percent: int | None, origin: tuple[int, int]) -> Choo
     return partial(ranked_points, origin=origin, lattice=cell, percent=percent)
 
 
-def _by_bucket(store: TileStore, job: GridJob) -> bool:
+def _by_bucket(store: TileStore, work: GridBlock) -> bool:
     """Whether the choice may be made bucket by bucket, and again of all that is left.
 
     The nearest of the nearest is the nearest, also where a cell lies in two buckets; ranks need all points of a cell.
     """
-    if job.thin is None or job.rule.erode:
+    if work.thin is None or work.rule.erode:
         return False
-    return job.percent is None or (store.meta.bucket.size / job.thin.size).denominator == 1
+    return work.percent is None or (store.meta.bucket.size / work.thin.size).denominator == 1
 
 
 def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels:
@@ -282,24 +235,24 @@ def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels
     )  # fmt: skip
 
 
-def rasterise_window(store: TileStore, job: GridJob, window: Bounds, xyz: npt.NDArray[np.int32]) -> Raster:
+def rasterise_window(store: TileStore, work: TinBlock, window: Bounds, xyz: npt.NDArray[np.int32]) -> Raster:
     """Heights in counts, NaN where there are none, and marks of the block's pixels."""
     east, north = store.meta.frame.origin
-    spec, block, limit = job.spec, job.block, float(job.max_edge)
+    spec, block, limit = work.spec, work.block, float(work.max_edge)
     try:
         pixels = pixels_of(spec, block, (east, north))
         raster = rasterise(
             Tin.build(xyz[0], xyz[1], xyz[2]),
             pixels,
-            interpolator="natural" if job.interpolation == "natural" else "linear",
+            interpolator="natural" if work.interpolation == "natural" else "linear",
             max_edge=limit, max_radius=limit,
             window=Window(
                 window.x0 - east, window.y0 - north, window.x1 - east, window.y1 - north,
-                open_west=window.x0 <= job.data.x0, open_south=window.y0 <= job.data.y0,
-                open_east=window.x1 >= job.data.x1, open_north=window.y1 >= job.data.y1,
+                open_west=window.x0 <= work.data.x0, open_south=window.y0 <= work.data.y0,
+                open_east=window.x1 >= work.data.x1, open_north=window.y1 >= work.data.y1,
             ),
         )  # fmt: skip
-        if job.interpolation != "idw":
+        if work.interpolation != "idw":
             return raster
         heights, distance = inverse_distance(xyz[0], xyz[1], xyz[2], pixels, limit)
         known = spec.block_bounds(block).x0 - window.x0  # the halo: beyond it there may be nearer points

@@ -10,28 +10,28 @@ import numpy.typing as npt
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.ground import GroundRule, read_ground
+from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
 
-def density_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def density_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     """Write one block of the density of ground points; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``, ``spec``, ``block``, ``labels``, ``classes``, ``skip_flags``: as those of `grid_block`.
+    work : PointsBlock
 
     Returns
     -------
     dict
         ``pixels``, ``filled`` (pixels with a point), ``points``; ``checksum``.
     """
-    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
-    counts = ground_counts(store, GroundRule.from_args(args), spec, block)
+    store, spec, block = open_store(store_url), work.spec, work.block
+    counts = ground_counts(store, work.rule, spec, block)
     area = (spec.lattice.size * store.meta.frame.metres_xy) ** 2
     values = (counts / float(area)).astype(np.float32)
-    store.write_block(args["name"], block, values)
+    store.write_block(work.name, block, values)
     return {
         "pixels": values.size,
         "filled": int(np.count_nonzero(counts)),

@@ -11,32 +11,30 @@ import numpy.typing as npt
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.shape import gradients, multidirectional_hillshade, slope_deg
+from tiler.grid.work import DeriveBlock
 from tiler.store import TileStore, open_store
 
 Float64 = npt.NDArray[np.float64]
 
 
-def derive_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def derive_block(store_url: str, work: DeriveBlock) -> dict[str, Any]:
     """Write one block of a raster that follows from others; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``: of the raster in the store, ``hillshade``, ``slope`` or ``ndsm``. ``spec``: `RasterSpec` as JSON.
-        ``block``: row, col, height, width. ``sources``: names of the rasters that it follows from: the terrain's, or
-        for ``ndsm`` the surface's and the terrain's. ``fill``: where it has no value.
+    work : DeriveBlock
 
     Returns
     -------
     dict
         ``pixels``, ``filled``; ``checksum``.
     """
-    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
-    found = _PRODUCTS[args["name"]](store, spec, block, args["sources"])
-    fill = np.float32(args["fill"])
+    store, spec, block = open_store(store_url), work.spec, work.block
+    found = _PRODUCTS[work.name](store, spec, block, work.sources)
+    fill = np.float32(work.fill)
     values = np.where(np.isnan(found), fill, found.astype(np.float32))
-    store.write_block(args["name"], block, values)
+    store.write_block(work.name, block, values)
     return {
         "pixels": values.size,
         "filled": int(np.count_nonzero(values != fill)),

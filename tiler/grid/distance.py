@@ -14,13 +14,14 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import pixels_of
 from tiler.grid.checksum import checksum
 from tiler.grid.ground import GroundRule, read_ground
+from tiler.grid.work import DistanceBlock
 from tiler.store import TileStore, open_store
 
 FIRST_SHARE = 4
 """The first look at a block reaches this part of the cap; few blocks need more."""
 
 
-def distance_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
     """Write one block of the distance to the nearest ground point in plan; a `tiler.schedule.task.Work`.
 
     In metres, from the pixel's centre (rounded down to a whole count); where it is farther than ``cap``, the cap.
@@ -28,23 +29,21 @@ def distance_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``, ``spec``, ``block``, ``labels``, ``classes``, ``skip_flags``: as those of `grid_block`. ``cap``:
-        counts, as a fraction in text.
+    work : DistanceBlock
 
     Returns
     -------
     dict
         ``pixels``, ``filled`` (pixels nearer than the cap); ``checksum``.
     """
-    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
-    cap, rule = Fraction(args["cap"]), GroundRule.from_args(args)
+    store, spec, block = open_store(store_url), work.spec, work.block
+    cap, rule = work.cap, work.rule
     found = ground_distance(store, rule, spec, block, cap / FIRST_SHARE)
     if np.isinf(found).any():
         found = ground_distance(store, rule, spec, block, cap)
     metres = float(store.meta.frame.metres_xy)
     values = (np.minimum(found, float(cap)) * metres).astype(np.float32)
-    store.write_block(args["name"], block, values)
+    store.write_block(work.name, block, values)
     return {
         "pixels": values.size,
         "filled": int(np.isfinite(found).sum()),

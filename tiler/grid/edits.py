@@ -11,21 +11,19 @@ import numpy.typing as npt
 
 from tiler.core.classes import GROUND
 from tiler.core.edits import FORCED_OFF, FORCED_ON, TO_GROUND, Classes, Edit, Edits, can_be_ground
-from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import PointBlock
-from tiler.grid.ground import GroundRule, read_classes
+from tiler.grid.ground import read_classes
+from tiler.grid.work import SurveyEdit
 from tiler.store import open_store
 
 
-def survey_edit(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def survey_edit(store_url: str, work: SurveyEdit) -> dict[str, Any]:
     """Count the points of one correction, as if there were no other; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``labels``, ``classes``, ``skip_flags``: as those of `grid_block`. ``edit``: `Edit` as JSON. ``cell``: `Lattice`
-        as JSON, see `Edits`. ``cells``: buckets that it touches.
+    work : SurveyEdit
 
     Returns
     -------
@@ -33,19 +31,18 @@ def survey_edit(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``points`` inside; ``ground_before``, ``ground_after`` of them; ``lowest``: whether the lowest points are made
         ground, as the input calls none ground (or its classes are the ones that are corrected).
     """
-    store, rule = open_store(store_url), GroundRule.from_args({**args, "edits": None})
-    edit, cell = Edit.from_json(args["edit"]), Lattice.from_json(args["cell"])
+    store, rule, edit = open_store(store_url), work.rule, work.edit
     origin = store.meta.frame.origin
 
     def buckets() -> Iterator[tuple[PointBlock, Classes, npt.NDArray[np.bool_]]]:
-        return (read_classes(store, rule, Cell(*c), needs_input=True) for c in args["cells"])
+        return (read_classes(store, rule, cell, needs_input=True) for cell in work.cells)
 
     lowest = edit.action == TO_GROUND and (
         rule.labels is None
         or not any(_given(edit, block, classes, origin) for block, classes, _ in buckets())
     )
     counts = np.zeros(3, np.int64)
-    edits = Edits((replace(edit, lowest=lowest),), cell)
+    edits = Edits((replace(edit, lowest=lowest),), work.cell)
     for block, classes, is_ground in buckets():
         x, y = (block.xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
         inside, forced = edit.area.inside(x, y), edits.forced(block, classes, origin)

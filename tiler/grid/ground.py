@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +16,7 @@ from tiler.core.edits import FORCED_OFF, FORCED_ON, OF_POINTS
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
+from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import TileStore
 
 
@@ -28,7 +28,7 @@ class GroundRule:
     ----------
     labels : str or None
         Pass whose labels tell the class; None: the class that the input brought.
-    classes : sequence of int
+    classes : tuple of int
     skip_flags : int
         Bits of `PointBlock.flags` that keep a point out; withheld points always stay out.
     erode : Fraction
@@ -39,19 +39,11 @@ class GroundRule:
     """
 
     labels: str | None
-    classes: Sequence[int]
+    classes: tuple[int, ...] = (GROUND,)
     skip_flags: int = WITHHELD_FLAG
     erode: Fraction = Fraction(0)
     erode_rise: int = 0
-    edits: str | None = None
-
-    @classmethod
-    def from_args(cls, args: dict[str, Any]) -> GroundRule:
-        """From the arguments of a task of these names; ``classes`` default to 2, ``skip_flags`` to withheld."""
-        return cls(
-            args["labels"], args.get("classes", (GROUND,)), args.get("skip_flags", WITHHELD_FLAG),
-            Fraction(args.get("erode", 0)), args.get("erode_rise", 0), args.get("edits"),
-        )  # fmt: skip
+    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
     def is_ground(self) -> npt.NDArray[np.bool_]:
         """By class or label, bool (256,)."""

@@ -13,12 +13,12 @@ from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts
-from tiler.grid.ground import GroundRule
 from tiler.grid.survey import coarse_values
+from tiler.grid.work import MaskBlock
 from tiler.store import open_store
 
 
-def mask_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     """Write one block of the mask; a `tiler.schedule.task.Work`.
 
     A pixel with a height is measured if a ground point lies in it, else interpolated; one without is a hole inside
@@ -28,30 +28,26 @@ def mask_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``, ``spec``, ``block``, ``labels``, ``classes``, ``skip_flags``: as those of `grid_block`. ``dtm``,
-        ``filled``: rasters of heights within the limit, and of those after filling (the same where nothing
-        is). ``survey``, ``coarse``: raster of the survey, and its `RasterSpec` as JSON. ``holes``: `Bounds` as JSON
-        of tiles that failed. ``area``: key of the area in the store, or None; outside of it all is outside.
+    work : MaskBlock
 
     Returns
     -------
     dict
         ``pixels``, ``filled`` (pixels with a height), ``values`` (pixels of each value of the mask); ``checksum``.
     """
-    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
+    store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
-    heights = store.read_block(args["dtm"], block) != nodata
-    filled = store.read_block(args["filled"], block) != nodata
-    inside = coarse_values(store, args["survey"], RasterSpec.from_json(args["coarse"]), spec, block) > 0
-    measured = ground_counts(store, GroundRule.from_args(args), spec, block) > 0
+    heights = store.read_block(work.dtm, block) != nodata
+    filled = store.read_block(work.filled, block) != nodata
+    inside = coarse_values(store, work.survey, work.coarse, spec, block) > 0
+    measured = ground_counts(store, work.rule, spec, block) > 0
     mask = np.select(
         [heights & measured, heights, filled, inside], [MEASURED, INTERPOLATED, FILLED, HOLE], OUTSIDE
     ).astype(np.float32)
-    for hole in args.get("holes", ()):
-        mask[_within(Bounds.from_json(hole), spec, block)] = HOLE
-    mask[~spec.inside(block, store.area(args.get("area")))] = OUTSIDE
-    store.write_block(args["name"], block, mask)
+    for hole in work.holes:
+        mask[_within(hole, spec, block)] = HOLE
+    mask[~spec.inside(block, store.area(work.area))] = OUTSIDE
+    store.write_block(work.name, block, mask)
     return {
         "pixels": mask.size,
         "filled": int(filled.sum()),

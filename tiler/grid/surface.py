@@ -18,10 +18,11 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
-from tiler.grid.block import GridJob, full_halo, heights_in_units, rasterise_window, read_job
+from tiler.grid.block import full_halo, heights_in_units, rasterise_window
 from tiler.grid.checksum import checksum
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import surface_points
+from tiler.grid.work import SurfaceBlock
 from tiler.store import TileStore, open_store
 
 Int32 = npt.NDArray[np.int32]
@@ -31,7 +32,7 @@ DEEP_M = 1.0
 """Returns that lie deeper below the terrain are counted."""
 
 
-def surface_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def surface_block(store_url: str, work: SurfaceBlock) -> dict[str, Any]:
     """Write one block of the surface model; a `tiler.schedule.task.Work`.
 
     All points but the withheld ones and noise (classes 7 and 18, by the input or by the filter) take part: water and
@@ -42,9 +43,7 @@ def surface_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     store_url : str
-    args : dict
-        As those of `grid_block` (``classes`` and ``thin_cell`` have no say), and ``spike``: vertical counts;
-        ``reach``: pixels; ``terrain``: raster of the same pixels.
+    work : SurfaceBlock
 
     Returns
     -------
@@ -52,11 +51,11 @@ def surface_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``pixels``, ``filled``, ``measured`` (pixels with a return), ``marked``, ``tries``, ``halo``; ``deep``: measured
         pixels whose returns all lie more than `DEEP_M` below the terrain; ``checksum``.
     """
-    store, job = open_store(store_url), read_job(args)
-    heights, measured, record = surface_heights(store, job, args)
+    store = open_store(store_url)
+    heights, measured, record = surface_heights(store, work)
     deep_m = DEEP_M / float(store.meta.frame.units.vertical)
-    heights, deep = above_terrain(heights, store.read_block(args["terrain"], job.block), deep_m)
-    store.write_block(args["name"], job.block, heights)
+    heights, deep = above_terrain(heights, store.read_block(work.terrain, work.block), deep_m)
+    store.write_block(work.name, work.block, heights)
     return {**record, "deep": int(np.count_nonzero(deep & measured)), "checksum": checksum(heights)}
 
 
@@ -67,19 +66,19 @@ def above_terrain(heights: Heights, terrain: Heights, deep: float) -> tuple[Heig
 
 
 def surface_heights(
-    store: TileStore, job: GridJob, args: dict[str, Any]
+    store: TileStore, work: SurfaceBlock
 ) -> tuple[Heights, npt.NDArray[np.bool_], dict[str, Any]]:
     """Heights of any block whatever the terrain, where they are measured, and the record; see `surface_block`."""
-    block, bounds, limit = job.block, job.spec.block_bounds(job.block), full_halo(job.max_edge)
-    own = _returns(store, job, block, args)
+    block, bounds, limit = work.block, work.spec.block_bounds(work.block), full_halo(work.max_edge)
+    own = _returns(store, work, block)
     measured = own[..., 2] != NOTHING
     heights = np.where(measured, own[..., 2] / COUNTS_PER_UNIT, NODATA).astype(np.float32)
     # Where every pixel has a return there is nothing to interpolate.
     halo, tries, marked = 0, 1, 0
     while not measured.all():
-        halo = min(max(2 * halo, args["halo"], math.ceil(job.spec.lattice.size)), limit)
+        halo = min(max(2 * halo, work.halo, math.ceil(work.spec.lattice.size)), limit)
         window = bounds.pad(halo)
-        raster = rasterise_window(store, job, window, _vertices(store, job, window, args))
+        raster = rasterise_window(store, work, window, _vertices(store, work, window))
         marks = raster.marks & ~measured
         marked = int(marks.sum())
         if marked == 0 or halo >= limit:
@@ -93,30 +92,30 @@ def surface_heights(
     }  # fmt: skip
 
 
-def _vertices(store: TileStore, job: GridJob, window: Bounds, args: dict[str, Any]) -> Int32:
+def _vertices(store: TileStore, work: SurfaceBlock, window: Bounds) -> Int32:
     """Local counts (3, n) of the pixels' returns in a window; pixels that it cuts are judged whole."""
-    lattice, spec = job.spec.lattice, job.spec
+    lattice, spec = work.spec.lattice, work.spec
     west, east = lattice.index_of(window.x0), lattice.index_of(window.x1 - 1) + 1
     south, north = lattice.index_of(window.y0), lattice.index_of(window.y1 - 1) + 1
     block = Block(spec.north - north, west - spec.west, north - south, east - west)
-    returns = _returns(store, job, block, args).reshape(-1, 3).T
+    returns = _returns(store, work, block).reshape(-1, 3).T
     returns = returns[:, returns[2] != NOTHING]
     inside = PointBlock(returns).inside(window, store.meta.frame.origin)
     return np.ascontiguousarray(returns[:, inside])
 
 
-def _returns(store: TileStore, job: GridJob, block: Block, args: dict[str, Any]) -> Int32:
+def _returns(store: TileStore, work: SurfaceBlock, block: Block) -> Int32:
     """Highest supported return of each pixel, int32 (height, width, 3), bucket by bucket."""
-    reach, origin = int(args["reach"]), store.meta.frame.origin
+    reach, origin = work.reach, store.meta.frame.origin
     wider = Block(block.row - reach, block.col - reach, block.height + 2 * reach, block.width + 2 * reach)
-    bounds = job.spec.block_bounds(wider)
+    bounds = work.spec.block_bounds(wider)
     highest = HighestReturns(wider.height, wider.width)
     for cell in store.buckets_within(bounds):
-        points, chosen = surface_points(store, job.rule, cell)
+        points, chosen = surface_points(store, work.rule, cell)
         chosen &= points.inside(bounds, origin)
         xyz = np.ascontiguousarray(points.xyz[:, chosen])
-        highest.add(pixel_indices(xyz, origin, job.spec, wider), xyz)
-    supported = highest.supported(reach, float(Fraction(args["spike"])))
+        highest.add(pixel_indices(xyz, origin, work.spec, wider), xyz)
+    supported = highest.supported(reach, float(work.spike))
     return supported[reach : reach + block.height, reach : reach + block.width]
 
 

@@ -19,7 +19,8 @@ from tiler.core.lattice import Bounds
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import pixel_indices
-from tiler.grid.ground import GroundRule, surface_points
+from tiler.grid.ground import surface_points
+from tiler.grid.work import MakeSurvey, PointsBlock
 from tiler.store import TileStore, open_store
 
 CHUNK = 512
@@ -29,42 +30,38 @@ Runs = list[list[int]]
 """Blocks of a raster: first row of pixels, first and last column of a run of neighbours (see `block_runs`)."""
 
 
-def occupancy_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     """Write one block of the raster of occupied cells, 1 or 0; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``; ``spec``: `RasterSpec` of the coarse cells as JSON; ``block``; ``labels``, ``classes``,
-        ``skip_flags``: as those of `grid_block`.
+    work : PointsBlock
 
     Returns
     -------
     dict
         ``occupied`` cells; ``checksum``.
     """
-    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
-    rule, bounds = GroundRule.from_args(args), spec.block_bounds(block)
+    store, spec, block = open_store(store_url), work.spec, work.block
+    rule, bounds = work.rule, spec.block_bounds(block)
     occupied = np.zeros(block.height * block.width, np.float32)
     for cell in store.buckets_within(bounds):
         points, chosen = surface_points(store, rule, cell)
         chosen &= points.inside(bounds, store.meta.frame.origin)
         occupied[pixel_indices(points.xyz[:, chosen], store.meta.frame.origin, spec, block)] = 1
     values = occupied.reshape(block.height, block.width)
-    store.write_block(args["name"], block, values)
+    store.write_block(work.name, block, values)
     return {"occupied": int(values.sum()), "checksum": checksum(values)}
 
 
-def survey_raster(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def survey_raster(store_url: str, work: MakeSurvey) -> dict[str, Any]:
     """Write the whole raster of the survey, 1 inside, 0 outside; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``; ``spec``: of the coarse cells; ``occupancy``: name of that raster; ``bridge``: cells, the widest
-        gap that belongs to the survey; ``pixels``: `RasterSpec` of the products.
+    work : MakeSurvey
 
     Returns
     -------
@@ -72,16 +69,16 @@ def survey_raster(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``inside`` and ``cells``; ``blocks``: `block_runs` of the products' blocks that hold some of the survey;
         ``checksum``.
     """
-    store, spec = open_store(store_url), RasterSpec.from_json(args["spec"])
-    occupied = store.read_block(args["occupancy"], Block(0, 0, spec.height, spec.width)) > 0
-    found = survey_of(occupied, args["bridge"])
+    store, spec = open_store(store_url), work.spec
+    occupied = store.read_block(work.occupancy, Block(0, 0, spec.height, spec.width)) > 0
+    found = survey_of(occupied, work.bridge)
     inside = found.astype(np.float32)
     for b in spec.blocks(CHUNK):
-        store.write_block(args["name"], b, inside[b.row : b.row + b.height, b.col : b.col + b.width])
+        store.write_block(work.name, b, inside[b.row : b.row + b.height, b.col : b.col + b.width])
     return {
         "inside": int(inside.sum()),
         "cells": inside.size,
-        "blocks": block_runs(found, spec, RasterSpec.from_json(args["pixels"]), CHUNK),
+        "blocks": block_runs(found, spec, work.pixels, CHUNK),
         "checksum": checksum(inside),
     }
 

@@ -18,6 +18,7 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.block import edit_heights, heights_in_units, pixels_of
 from tiler.grid.checksum import checksum
 from tiler.grid.survey import CHUNK, Bools, block_runs, blocks_of, coarse_cells, coarse_values, covered
+from tiler.grid.work import FillBlock, Void, VoidRasters
 from tiler.store import TileStore, open_store
 
 Int32 = npt.NDArray[np.int32]
@@ -31,18 +32,16 @@ NEAR = 2
 AROUND = np.ones((3, 3), np.bool_)
 
 
-def find_voids(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def find_voids(store_url: str, work: VoidRasters) -> dict[str, Any]:
     """Number the holes of a raster of heights; a `tiler.schedule.task.Work`.
 
     Coarse cells that hold a pixel without a height inside of the survey; those that touch belong to one hole. Writes
-    the raster ``name`` of the cells: number of the hole, 0 for none.
+    the raster ``numbers`` of the cells: number of the hole, 0 for none.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``name``; ``heights``: raster of heights, ``spec``: its `RasterSpec` as JSON; ``survey``, ``coarse``: raster of
-        the survey, and its `RasterSpec` as JSON.
+    work : VoidRasters
 
     Returns
     -------
@@ -50,19 +49,18 @@ def find_voids(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         ``voids``: row, column, height and width of each hole in cells, from number 1 on; ``blocks``: of each the
         blocks of the raster that it comes within `NEAR` pixels of, as `block_runs` gives them; ``checksum``.
     """
-    store, spec = open_store(store_url), RasterSpec.from_json(args["spec"])
-    coarse = RasterSpec.from_json(args["coarse"])
+    store, spec, coarse = open_store(store_url), work.spec, work.coarse
     empty = np.zeros((coarse.height, coarse.width), np.bool_)
-    survey = store.read_block(args["survey"], Block(0, 0, coarse.height, coarse.width)) > 0
+    survey = store.read_block(work.survey, Block(0, 0, coarse.height, coarse.width)) > 0
     for block in blocks_of(block_runs(survey, coarse, spec, PIECE), spec, PIECE):
-        rows, cols = np.nonzero(_void(store, args, coarse, spec, block))
+        rows, cols = np.nonzero(_void(store, work, block))
         if len(rows):
             cell_rows, cell_cols = coarse_cells(coarse, spec, block)
             empty[cell_rows[rows], cell_cols[cols]] = True
     numbers, _ = ndimage.label(empty, AROUND)
     values = numbers.astype(np.float32)
     for b in coarse.blocks(CHUNK):
-        store.write_block(args["name"], b, values[b.row : b.row + b.height, b.col : b.col + b.width])
+        store.write_block(work.numbers, b, values[b.row : b.row + b.height, b.col : b.col + b.width])
     boxes, blocks = [], []
     for number, (down, right) in enumerate(ndimage.find_objects(numbers), start=1):
         box = Block(down.start, right.start, down.stop - down.start, right.stop - right.start)
@@ -76,7 +74,7 @@ def _part(spec: RasterSpec, block: Block) -> RasterSpec:
     return RasterSpec(spec.lattice, spec.west + block.col, spec.north - block.row, block.height, block.width)
 
 
-def fill_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
     """Write one block of the heights with holes filled; a `tiler.schedule.task.Work`.
 
     Linear on the TIN of the centres of all pixels around a hole, their heights rounded to counts. What no facet covers,
@@ -85,71 +83,63 @@ def fill_block(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     store_url : str
-    args : dict
-        As those of `find_voids`, and ``block``; ``numbers``: raster of the holes' numbers; ``voids``: number, row,
-        column, height and width in cells of each hole that may touch the block.
+    work : FillBlock
 
     Returns
     -------
     dict
         ``pixels``, ``filled`` (pixels with a height), ``added``; ``checksum``.
     """
-    store, spec, block = open_store(store_url), RasterSpec.from_json(args["spec"]), Block(*args["block"])
-    coarse = RasterSpec.from_json(args["coarse"])
-    heights = store.read_block(args["heights"], block)
-    empty = _void(store, args, coarse, spec, block)
+    store, block, rasters = open_store(store_url), work.block, work.rasters
+    heights = store.read_block(rasters.heights, block)
+    empty = _void(store, rasters, block)
     before = int(np.count_nonzero(heights != np.float32(NODATA)))
-    numbers = coarse_values(store, args["numbers"], coarse, spec, block)
-    for number, *cells in args["voids"]:
-        inside = empty & (numbers == number)
+    numbers = coarse_values(store, rasters.numbers, rasters.coarse, rasters.spec, block)
+    for void in work.voids:
+        inside = empty & (numbers == void.number)
         if inside.any():
-            rim = _rim(store, args, coarse, spec, number, Block(*cells))
-            raster = rasterise(Tin.build(*rim), pixels_of(spec, block, store.meta.frame.origin))
+            rim = _rim(store, rasters, void)
+            raster = rasterise(Tin.build(*rim), pixels_of(rasters.spec, block, store.meta.frame.origin))
             heights = np.where(inside, heights_in_units(raster), heights)
-    edit_heights(store, args.get("edits"), spec, block, heights)
-    store.write_block(args["name"], block, heights)
+    edit_heights(store, work.edits, rasters.spec, block, heights)
+    store.write_block(work.name, block, heights)
     after = int(np.count_nonzero(heights != np.float32(NODATA)))
     return {"pixels": heights.size, "filled": after, "added": after - before, "checksum": checksum(heights)}
 
 
-def _void(
-    store: TileStore, args: dict[str, Any], coarse: RasterSpec, spec: RasterSpec, block: Block
-) -> npt.NDArray[np.bool_]:
+def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[np.bool_]:
     """Pixels without a height inside of the survey."""
-    empty: npt.NDArray[np.bool_] = store.read_block(args["heights"], block) == np.float32(NODATA)
+    empty: npt.NDArray[np.bool_] = store.read_block(rasters.heights, block) == np.float32(NODATA)
     if empty.any():
-        empty &= coarse_values(store, args["survey"], coarse, spec, block) > 0
+        empty &= coarse_values(store, rasters.survey, rasters.coarse, rasters.spec, block) > 0
     return empty
 
 
-def _rim(
-    store: TileStore, args: dict[str, Any], coarse: RasterSpec, spec: RasterSpec, number: int, cells: Block
-) -> tuple[Int32, Int32, Int32]:
+def _rim(store: TileStore, rasters: VoidRasters, void: Void) -> tuple[Int32, Int32, Int32]:
     """Local counts x, y, z of the centres of the pixels with a height that touch a hole, piece by piece."""
     found: list[npt.NDArray[np.int64]] = [np.empty((3, 0), np.int64)]
-    region = covered(coarse, spec, cells, 1)
-    mine: Bools = store.read_block(args["numbers"], cells) == number
-    part = _part(spec, region)
-    for piece in blocks_of(block_runs(mine, _part(coarse, cells), part, PIECE, 1), part, PIECE):
+    region = covered(rasters.coarse, rasters.spec, void.cells, 1)
+    mine: Bools = store.read_block(rasters.numbers, void.cells) == void.number
+    part = _part(rasters.spec, region)
+    for piece in blocks_of(block_runs(mine, _part(rasters.coarse, void.cells), part, PIECE, 1), part, PIECE):
         core = Block(region.row + piece.row, region.col + piece.col, piece.height, piece.width)
-        found.append(_rim_of_piece(store, args, coarse, spec, number, core))
+        found.append(_rim_of_piece(store, rasters, void.number, core))
     x, y, z = np.concatenate(found, axis=1)
     east, north = store.meta.frame.origin
     return (x - east).astype(np.int32), (y - north).astype(np.int32), z.astype(np.int32)
 
 
-def _rim_of_piece(
-    store: TileStore, args: dict[str, Any], coarse: RasterSpec, spec: RasterSpec, number: int, core: Block
-) -> npt.NDArray[np.int64]:
+def _rim_of_piece(store: TileStore, rasters: VoidRasters, number: int, core: Block) -> npt.NDArray[np.int64]:
     """Absolute counts (3, n) of the rim's pixels in ``core``; its neighbours' empty pixels count as well."""
+    spec = rasters.spec
     top, left = max(core.row - 1, 0), max(core.col - 1, 0)
     bottom, right = min(core.row + core.height + 1, spec.height), min(core.col + core.width + 1, spec.width)
     wide = Block(top, left, bottom - top, right - left)
-    mine = coarse_values(store, args["numbers"], coarse, spec, wide) == number
+    mine = coarse_values(store, rasters.numbers, rasters.coarse, spec, wide) == number
     if not mine.any():
         return np.empty((3, 0), np.int64)
-    heights = store.read_block(args["heights"], wide)
-    void = mine & _void(store, args, coarse, spec, wide)
+    heights = store.read_block(rasters.heights, wide)
+    void = mine & _void(store, rasters, wide)
     rim = ndimage.binary_dilation(void, AROUND) & (heights != np.float32(NODATA))
     rows, cols = np.nonzero(rim)
     rows, cols = rows + wide.row, cols + wide.col

@@ -5,7 +5,7 @@
 Before them, for the plan: `find_inputs`, `inspect` (several files at a time), `agree`, `pieces`.
 """
 
-from tiler.ingest.assemble import assemble_buckets
+from tiler.ingest.assemble import AssembleBuckets, BucketParts, assemble_buckets
 from tiler.ingest.common_crs import Agreement, agree
 from tiler.ingest.extent import FAR
 from tiler.ingest.georeference import Georeference
@@ -20,16 +20,19 @@ from tiler.ingest.sources import (
     pieces,
     read_guarded,
 )
-from tiler.ingest.spool import OUTSIDE_AREA, spool_piece
+from tiler.ingest.spool import OUTSIDE_AREA, SpoolPiece, spool_piece
 from tiler.ingest.strays import Strays, find_strays
 
 __all__ = [
     "FAR",
     "OUTSIDE_AREA",
     "Agreement",
+    "AssembleBuckets",
+    "BucketParts",
     "Georeference",
     "Patch",
     "SourceInfo",
+    "SpoolPiece",
     "Strays",
     "agree",
     "assemble_buckets",

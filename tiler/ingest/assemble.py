@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from tiler.core.classes import STRAY_FLAG, WITHHELD_FLAG, participates
 from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Cell, Lattice
+from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT, PointBlock
 from tiler.ingest.spool import extent
 from tiler.ingest.strays import places, stray_mask
@@ -37,16 +38,53 @@ class BucketOrder:
     duplicates_between: int
 
 
-def assemble_buckets(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class BucketParts:
+    """Where the points of a bucket lie in the spool.
+
+    Attributes
+    ----------
+    cell : Cell
+    fragments : tuple of (str, int, int)
+        Piece, first and end row of each run of points.
+    rules : tuple of (int, Bounds)
+        Number and bounds of each source that has strays outside of these (see `tiler.ingest.strays`).
+    """
+
+    cell: Cell
+    fragments: tuple[tuple[str, int, int], ...]
+    rules: tuple[tuple[int, Bounds], ...] = ()
+
+
+@dataclass(frozen=True)
+class AssembleBuckets:
+    """What `assemble_buckets` does.
+
+    Attributes
+    ----------
+    buckets : tuple of BucketParts
+    keep_classes : tuple of int or None
+        What takes no part, see `tiler.core.classes.participates`; None: as it has it.
+    skip_flags : int
+        Bits of flags that keep a point out.
+    """
+
+    buckets: tuple[BucketParts, ...]
+    keep_classes: tuple[int, ...] | None = None
+    skip_flags: int = WITHHELD_FLAG
+
+    def place(self, buckets: Lattice) -> Bounds | None:
+        """The buckets."""
+        return reduce(Bounds.union, (buckets.bounds(bucket.cell) for bucket in self.buckets))
+
+
+def assemble_buckets(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
     """Write some buckets from the fragments of the pieces that touch them.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``buckets``: [[ix, iy, [[piece, start, stop], ...], [[source, bounds], ...]], ...], the last one where a
-        source has strays outside of these bounds (see `tiler.ingest.strays`); ``keep_classes`` (list of int) and
-        ``skip_flags`` (bits): what takes no part, see `tiler.core.classes.participates`.
+    work : AssembleBuckets
 
     Returns
     -------
@@ -59,14 +97,14 @@ def assemble_buckets(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     store = open_store(store_url)
     meta = store.meta
     records = []
-    for ix, iy, fragments, *rules in args["buckets"]:
-        cell = Cell(int(ix), int(iy))
-        parts = [store.read_fragment(piece, int(start), int(stop)) for piece, start, stop in fragments]
+    for bucket in work.buckets:
+        cell = bucket.cell
+        parts = [store.read_fragment(*fragment) for fragment in bucket.fragments]
         block = PointBlock.concatenate(parts)
-        strays = stray_mask(block, dict(rules[0]) if rules else {}, meta.frame.origin)
+        strays = stray_mask(block, dict(bucket.rules), meta.frame.origin)
         if strays.any() and block.flags is not None:
             block = replace(block, flags=block.flags | (strays * np.uint8(STRAY_FLAG)))
-        taking = _taking_part(block, args.get("keep_classes"), int(args.get("skip_flags", WITHHELD_FLAG)))
+        taking = _taking_part(block, work.keep_classes, work.skip_flags)
         found = bucket_order(block, taking, meta.frame, meta.bucket, meta.fine, cell)
         store.write_bucket(cell, block.take(found.order), found.n_candidates)
         records.append(_record(cell, block, taking, strays, found, meta.frame))

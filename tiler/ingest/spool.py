@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import NEEDED, PointReader, Records
 from tiler.io.las.unchanged import unchanged
 from tiler.io.locations import cloud_path
+from tiler.schedule.task import NOT_IN_DIGEST
 from tiler.store import open_store
 
 NOT_FINITE = "not finite"
@@ -26,18 +28,50 @@ OUTSIDE_AREA = "outside the area"
 _RADIX_KEYS = 1 << 16
 
 
-def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class SpoolPiece:
+    """What `spool_piece` does.
+
+    Attributes
+    ----------
+    path : str
+        Of the source, or its URL.
+    source : int
+        Its number in the store.
+    piece : str
+        Name in the spool.
+    start, count : int
+        Records of the source.
+    wanted : Runs or None
+        The buckets whose points are stored, see `Area.cells`; None: all.
+    salvage : bool
+    extent : Bounds or None
+        What the header of the source says, absolute counts.
+    identity : str or None
+        Of the piece, whatever is wanted of it.
+    stamp : list or None
+        Of the source, as the plan found it.
+    """
+
+    path: str
+    source: int
+    piece: str
+    start: int
+    count: int
+    wanted: Runs | None = None
+    salvage: bool = False
+    extent: Bounds | None = None
+    identity: str | None = None
+    stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
+
+
+def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     """Decode one piece into the spool.
 
     Parameters
     ----------
     store_url : str
-    args : dict
-        ``path`` (str), ``source`` (int, its id in this run), ``piece`` (str, name in the spool), ``start``
-        and ``count`` (records), ``wanted`` (the buckets whose points are stored, see `Area.cells`; None: all),
-        ``salvage``; ``stamp`` (of the file, as the plan found it);
-        ``extent`` ([x0, y0, x1, y1] in absolute counts: what the header says, or None); ``identity``
-        (of the piece, whatever is wanted of it).
+    work : SpoolPiece
 
     Returns
     -------
@@ -55,23 +89,20 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
     store = open_store(store_url)
     frame, lattice = store.meta.frame, store.meta.bucket
     with (
-        unchanged(cloud_path(args["path"]), args.get("stamp"), bool(args.get("salvage", False))) as header,
+        unchanged(cloud_path(work.path), work.stamp, work.salvage) as header,
         PointReader(header, NEEDED) as reader,
     ):
-        records = reader.read(int(args["start"]), int(args["count"]))
+        records = reader.read(work.start, work.count)
     local, keep, dropped, rounding = place(records, header, frame)
-    block = columns(records, header, local, int(args["source"]), int(args["start"]), store.meta.has_rgb).take(
-        keep
-    )
-    claimed = args.get("extent")
-    outside = () if claimed is None else ~block.inside(Bounds.from_json(claimed), frame.origin)
+    block = columns(records, header, local, work.source, work.start, store.meta.has_rgb).take(keep)
+    outside = () if work.extent is None else ~block.inside(work.extent, frame.origin)
     order, index = sort_by_bucket(block.xyz, frame, lattice)
-    order, index, left = _of_buckets(order, index, args.get("wanted"))
+    order, index, left = _of_buckets(order, index, work.wanted)
     if left:
         dropped[OUTSIDE_AREA] = sum(number for _, _, number in left)
     block = block.take(order)
     if len(block):
-        store.write_piece(args["piece"], block, index)
+        store.write_piece(work.piece, block, index)
     return {
         "read": len(records),
         "stored": len(block),
@@ -80,7 +111,7 @@ def spool_piece(store_url: str, args: dict[str, Any]) -> dict[str, Any]:
         "largest_rounding": rounding,
         "buckets": [list(entry) for entry in index],
         "left": [list(entry) for entry in left],
-        "identity": args.get("identity"),
+        "identity": work.identity,
         **extent(block, frame),
     }
 

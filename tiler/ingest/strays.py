@@ -35,14 +35,14 @@ class Strays:
     alone: frozenset[Cell] = frozenset()
     extent: Bounds | None = None
 
-    def rule(self, lattice: Lattice, cell: Cell) -> list[int] | None:
+    def rule(self, lattice: Lattice, cell: Cell) -> Bounds | None:
         """Bounds outside of which a point of a bucket is a stray (empty ones: each of them); None where none is."""
         if cell in self.alone:
-            return [0, 0, 0, 0]
+            return Bounds(0, 0, 0, 0)
         if self.extent is None:
             return None
         bounds = lattice.bounds(cell)
-        return None if bounds.union(self.extent) == self.extent else self.extent.to_json()
+        return None if bounds.union(self.extent) == self.extent else self.extent
 
 
 def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | None, outside: int) -> Strays:
@@ -94,7 +94,7 @@ def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
 
 
 def stray_mask(
-    block: PointBlock, rules: Mapping[int, list[int]], origin: tuple[int, int]
+    block: PointBlock, rules: Mapping[int, Bounds], origin: tuple[int, int]
 ) -> npt.NDArray[np.bool_]:
     """Mask of the strays of a bucket, given the bounds of each source that has some (see `Strays.rule`)."""
     mask = np.zeros(len(block), dtype=np.bool_)
@@ -102,7 +102,7 @@ def stray_mask(
         return mask
     sources = unpack_origin(block.origin)[0]
     for source, bounds in rules.items():
-        mask |= (sources == source) & ~block.inside(Bounds.from_json(bounds), origin)
+        mask |= (sources == source) & ~block.inside(bounds, origin)
     return mask
 
 

@@ -6,14 +6,12 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cache, reduce
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Cell
-from tiler.core.raster import Block, RasterSpec
 from tiler.errors import DamagedError, DiskFullError, ProcessingError
 from tiler.io.locations import is_url, joined, put_file
 from tiler.io.result_folder import RUN
@@ -23,7 +21,7 @@ from tiler.redaction import stored
 from tiler.report import write_run_file
 from tiler.runs.executors import Crew
 from tiler.runs.worker import peak_rss_bytes, perform
-from tiler.schedule import Outcome, Task
+from tiler.schedule import Outcome, Placed, Task
 from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore, store_exists
 from tiler.version import __version__
 
@@ -230,16 +228,9 @@ class Job:
 
     def _place(self, task: Task) -> list[float] | None:
         """The hole that a task leaves: lowest x, y, highest x, y in units of the CRS; None where it has no place."""
-        arguments, lattice = task.arguments, self.plan.meta.bucket
-        if "spec" in arguments and "block" in arguments:
-            bounds = [RasterSpec.from_json(arguments["spec"]).block_bounds(Block(*arguments["block"]))]
-        else:
-            cells = arguments.get("cells") or [b[:2] for b in arguments.get("buckets", ())]
-            bounds = [lattice.bounds(Cell(*cell)) for cell in cells]
-        if not bounds:
-            return None
-        hull = reduce(Bounds.union, bounds)
-        return [v / COUNTS_PER_UNIT for v in hull.to_json()]
+        work = task.arguments
+        bounds = work.place(self.plan.meta.bucket) if isinstance(work, Placed) else None
+        return None if bounds is None else [v / COUNTS_PER_UNIT for v in bounds.to_json()]
 
     def save(self, state: str) -> dict[str, Any]:
         """Write run.json and return its content; no URL in it has a password or token."""

@@ -6,6 +6,7 @@ from tiler.schedule.apart import half_of_memory, read_apart, seconds_for
 from tiler.schedule.guard import Died, Guard
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import (
+    NOT_IN_DIGEST,
     TRIES,
     Executor,
     Limits,
@@ -13,6 +14,7 @@ from tiler.schedule.task import (
     Machine,
     Outcome,
     Perform,
+    Placed,
     Task,
     Work,
     digest_of,
@@ -20,6 +22,7 @@ from tiler.schedule.task import (
 from tiler.schedule.together import Guards
 
 __all__ = [
+    "NOT_IN_DIGEST",
     "TRIES",
     "Died",
     "Executor",
@@ -30,6 +33,7 @@ __all__ = [
     "Machine",
     "Outcome",
     "Perform",
+    "Placed",
     "SerialExecutor",
     "Task",
     "Work",

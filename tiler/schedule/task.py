@@ -5,13 +5,28 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass, fields, is_dataclass
+from fractions import Fraction
+from typing import Any, Protocol, runtime_checkable
 
+from tiler.core.lattice import Bounds, Lattice
 from tiler.redaction import stored
 
-Work = Callable[[str, dict[str, Any]], dict[str, Any]]
-"""``work(store_url, arguments) -> record``: a module-level function (it travels by name); both JSON-able."""
+Work = Callable[[str, Any], dict[str, Any]]
+"""``work(store_url, arguments) -> record``: a module-level function (it travels by name), of a frozen dataclass that
+says what is read, what is written, where, and with which parameters; the record is JSON-able."""
+
+NOT_IN_DIGEST = {"digest": False}
+"""Metadata of a field of such a dataclass that changes how the work is done, but not what comes out."""
+
+
+@runtime_checkable
+class Placed(Protocol):
+    """Arguments of work that has a place on the map."""
+
+    def place(self, buckets: Lattice) -> Bounds | None:
+        """What the work covers, absolute counts; ``buckets`` are those of the store."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -28,8 +43,8 @@ class Task:
         Of everything that the result depends on. A commit with the same digest means: done already.
     work : Work
         Runs on a worker; what it returns is committed with the digest, by the worker.
-    arguments : dict
-        JSON-able, small.
+    arguments : dataclass
+        What `work` gets: frozen, small, of values that `digest_of` knows.
     points : int
         How much there is to do, for progress and ETA.
     """
@@ -38,7 +53,7 @@ class Task:
     key: str
     digest: str
     work: Work
-    arguments: dict[str, Any] = field(default_factory=dict)
+    arguments: Any = None
     points: int = 0
 
 
@@ -141,8 +156,20 @@ class Executor(Protocol):
 
 
 def digest_of(*parts: Any) -> str:
-    """A short stable digest of JSON-able values (keys sorted); another password or token in a URL changes nothing."""
-    text = json.dumps(parts, sort_keys=True, separators=(",", ":"))
+    """A short stable digest of JSON-able values and of work's dataclasses, but for fields with `NOT_IN_DIGEST`.
+
+    Keys are sorted; another password or token in a URL changes nothing.
+    """
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=to_json)
     if ":/" in text:
-        text = json.dumps(stored(parts), sort_keys=True, separators=(",", ":"))
+        text = json.dumps(stored(json.loads(text)), sort_keys=True, separators=(",", ":"))
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def to_json(value: Any) -> Any:
+    """What stands for a value of a task's arguments in JSON: a dataclass by its fields, a fraction as text."""
+    if isinstance(value, Fraction):
+        return str(value)
+    if is_dataclass(value):
+        return {f.name: getattr(value, f.name) for f in fields(value) if f.metadata.get("digest", True)}
+    raise TypeError(f"{type(value).__name__} has no place in the arguments of a task")

@@ -14,13 +14,13 @@ from tiler.core.breaklines import SHORTEST_M, Breaklines
 from tiler.core.edits import OF_PIXELS, OF_POINTS, Edit, Edits
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.raster import Block, RasterSpec
 from tiler.errors import ProcessingError
-from tiler.grid import full_halo, survey_edit
+from tiler.export import WriteClassified
+from tiler.grid import FillBlock, PointsBlock, SurveyEdit, full_halo, survey_edit
 from tiler.plan import Plan
 from tiler.runs.job import Job
-from tiler.schedule import Task, digest_of
-from tiler.stages.tasks import Assembled, ground_arguments
+from tiler.schedule import Placed, Task, digest_of
+from tiler.stages.tasks import Assembled, ground_rule
 from tiler.store import Commits
 from tiler.version import __version__
 
@@ -53,18 +53,18 @@ class Corrections:
     def of_clouds(self, tasks: Iterable[Task]) -> Iterator[Task]:
         """The tasks of classified clouds; what edits change of labels is in their digests already."""
         for task in tasks:
-            yield task if self.edits is None else _with(task, edits=self.edits.key)
+            yield task if self.edits is None else _with_edits(task, self.edits.key)
 
     def _of_raster(self, plan: Plan, name: str, task: Task) -> Task:
-        if "block" not in task.arguments:
+        bounds = task.arguments.place(plan.meta.bucket) if isinstance(task.arguments, Placed) else None
+        if bounds is None:
             return task
-        bounds = RasterSpec.from_json(task.arguments["spec"]).block_bounds(Block(*task.arguments["block"]))
         seen: list[Any] = []
         if self.edits is not None:
-            task = _with(task, edits=self.edits.key)
+            task = _with_edits(task, self.edits.key)
             seen += self.edits.digest(bounds, OF_PIXELS) if name in EDITED else []
         if self.lines is not None and name == FOLLOWS_LINES:
-            task = _with(task, breaklines=self.lines.key)
+            task = replace(task, arguments=replace(task.arguments, breaklines=self.lines.key))
             seen += self._lines_near(plan, bounds)
         return replace(task, digest=digest_of(task.digest, seen)) if seen else task
 
@@ -77,9 +77,14 @@ class Corrections:
         return [[cell.ix, cell.iy, found[cell]] for cell in near]
 
 
-def _with(task: Task, **arguments: str) -> Task:
-    """A task with further arguments, which are no part of its digest."""
-    return replace(task, arguments={**task.arguments, **arguments})
+def _with_edits(task: Task, key: str) -> Task:
+    """A task that knows of the corrections; those that touch it are in its digest, the key of all is not."""
+    work = task.arguments
+    if isinstance(work, PointsBlock):
+        return replace(task, arguments=replace(work, rule=replace(work.rule, edits=key)))
+    if isinstance(work, FillBlock | WriteClassified):
+        return replace(task, arguments=replace(work, edits=key))
+    return task
 
 
 def correct(
@@ -134,13 +139,11 @@ def _survey_task(
     plan: Plan, edit: Edit, cell: Lattice, assembled: Assembled, labels: Mapping[Cell, str]
 ) -> Task:
     cells = _touched(plan.meta.bucket, edit, labels) if edit.action in OF_POINTS else []
-    arguments = {
-        **ground_arguments(plan), "edit": edit.to_json(), "cell": cell.to_json(),
-        "cells": [[c.ix, c.iy] for c in cells],
-    }  # fmt: skip
-    digest = digest_of(__version__, arguments, [labels[c] for c in cells])
+    rule = ground_rule(plan)
+    work = SurveyEdit(rule, edit, cell, tuple(cells))
+    digest = digest_of(__version__, rule, edit.number, edit.digest, cell, cells, [labels[c] for c in cells])
     points = sum(assembled.records[c]["n"] for c in cells)
-    return Task("edits", f"e{edit.number:06d}", digest, survey_edit, arguments, points)
+    return Task("edits", f"e{edit.number:06d}", digest, survey_edit, work, points)
 
 
 def _fact(edit: Edit, record: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,15 +8,15 @@ from fractions import Fraction
 from typing import Any
 
 from tiler.core.products import CONTOURS, SPOTS
-from tiler.export import write_contours, write_spots
-from tiler.schedule import Task, digest_of
+from tiler.export import WriteContours, WriteSpots, write_contours, write_spots
+from tiler.export.work import DrawnFile
+from tiler.schedule import Task, Work, digest_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.raster_table import final
 from tiler.stages.raster_tasks import checksums
 from tiler.stages.tasks import area_key
 from tiler.version import __version__
 
-WORKS = {CONTOURS: write_contours, SPOTS: write_spots}
 SMOOTH_PIXELS = 2
 """Standard deviation of the Gaussian that smooths the heights, where the user names none."""
 SPOT_REACH_M, WIDEST_REACH = 50, 256
@@ -26,19 +26,19 @@ SPOT_REACH_M, WIDEST_REACH = 50, 256
 def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
     """One for each file."""
     plan, config = g.plan, g.plan.config
-    terrain = final("dtm", config)
-    interval = config.contour_interval
+    terrain, interval = final("dtm", config), config.contour_interval
     common: dict[str, Any] = {
-        "raster": terrain, "spec": g.spec.to_json(), "out": out, "area": area_key(plan),
-        "interval": None if interval is None else str(interval / plan.meta.frame.units.vertical),
+        "raster": terrain, "spec": g.spec, "out": out, "area": area_key(plan),
+        "interval": None if interval is None else interval / plan.meta.frame.units.vertical,
     }  # fmt: skip
     smooth = config.contour_smooth
     sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.resolution
-    own: dict[str, dict[str, Any]] = {
-        CONTOURS: {"sigma": float(sigma)},
-        SPOTS: {"reach": min(math.ceil(SPOT_REACH_M / plan.resolution), WIDEST_REACH)},
+    reach = min(math.ceil(SPOT_REACH_M / plan.resolution), WIDEST_REACH)
+    works: dict[str, tuple[Work, DrawnFile]] = {
+        CONTOURS: (write_contours, WriteContours(**common, sigma=float(sigma))),
+        SPOTS: (write_spots, WriteSpots(**common, reach=reach)),
     }
     for name in config.drawn:
-        arguments = {**common, **own[name]}
-        digest = digest_of(__version__, arguments, checksums(g.made[terrain]))
-        yield Task("export", f"{name}.gpkg", digest, WORKS[name], arguments, g.spec.height * g.spec.width)
+        write, work = works[name]
+        digest = digest_of(__version__, work, checksums(g.made[terrain]))
+        yield Task("export", f"{name}.gpkg", digest, write, work, g.spec.height * g.spec.width)

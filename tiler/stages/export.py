@@ -7,6 +7,7 @@ from pathlib import Path
 from tiler.core.lattice import Cell
 from tiler.core.products import CONTOURS
 from tiler.errors import ProcessingError, refused_write
+from tiler.export import WriteCog
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.result_folder import below
 from tiler.plan import KEEP
@@ -37,7 +38,7 @@ def export(
     out, config = job.products, job.plan.config
     digest = digest_of(sorted(source.content for source in sources))
     tasks = [*cog_tasks(gridding, Inputs.of(sources, spooled), digest, out), *drawn_tasks(gridding, out)]
-    for folder in {task.arguments["out"] for task in tasks if not is_url(out)}:
+    for folder in {task.arguments.out for task in tasks if not is_url(out)}:
         try:
             Path(folder).mkdir(exist_ok=True)
         except OSError as error:
@@ -54,7 +55,11 @@ def export(
         products &= _write(job, "mosaic", mosaics, out)
     if gridding.plan.area is not None:
         made = job.store.committed("export")
-        terrain = [task.key for task in tasks if task.arguments.get("product") == "dtm"]
+        terrain = [
+            task.key
+            for task in tasks
+            if isinstance(task.arguments, WriteCog) and task.arguments.product == "dtm"
+        ]
         job.facts["dtm"]["filled"] = sum(made[key][1]["valid"] for key in terrain if key in made)
     job.facts["made_of"] |= {path: basis for key, path in written.items() if key.endswith(PRODUCTS)}
     unwritten = [path for path in written.values() if path not in job.facts["outputs"]]
@@ -105,8 +110,7 @@ def _basis(gridding: Gridding) -> str:
 def _files(tasks: list[Task]) -> dict[str, str]:
     """What each task writes, by path or URL."""
     return {
-        t.key: joined(t.arguments["out"], t.key) if t.key.endswith(PRODUCTS) else t.arguments["out"]
-        for t in tasks
+        t.key: joined(t.arguments.out, t.key) if t.key.endswith(PRODUCTS) else t.arguments.out for t in tasks
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -13,7 +13,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import RasterSpec
-from tiler.export import write_cog, write_mosaic
+from tiler.export import WriteCog, WriteMosaic, write_cog, write_mosaic
 from tiler.io.locations import joined
 from tiler.plan import GRID_BLOCK, Plan
 from tiler.schedule import Task, digest_of
@@ -66,40 +66,41 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
     rasters = raster_table(g.plan.config)
     for name in g.plan.config.exported:
         raster = final(name, g.plan.config)
-        common: dict[str, Any] = {
-            "raster": raster, "product": name, "compress": g.plan.config.compress, "area": area_key(g.plan),
-            "fill": rasters[raster].fill, **_nodata(g.plan, name),
-        }  # fmt: skip
+        whole = WriteCog(
+            product=name, out=out, tags=_tags(g.plan, whole_inputs), nodata=_nodata(g.plan, name), name=name,
+            raster=raster, spec=g.spec, compress=g.plan.config.compress, fill=rasters[raster].fill,
+            area=area_key(g.plan),
+        )  # fmt: skip
         if g.plan.config.sheets is None:
-            tags = _tags(g.plan, whole_inputs)
-            arguments = {**common, "name": name, "spec": g.spec.to_json(), "out": out, "tags": tags}
-            yield _cog_task(arguments, g.spec, checksums(g.made[raster]))
+            yield _cog_task(whole, checksums(g.made[raster]))
             continue
-        whole = {"whole": g.spec.to_json(), "out": joined(out, name)}
         for sheet, read in cut:
             spec = sheet.spec
-            own = {"name": f"{name}_{sheet.place}", "spec": spec.to_json(), "tags": _tags(g.plan, read)}
             near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), GRID_BLOCK)
             seen = [[b.name, g.made[raster][b.name][1]["checksum"]] for b in near if b.name in g.made[raster]]
-            yield _cog_task({**common, **whole, **own}, spec, seen)
+            work = replace(
+                whole, name=f"{name}_{sheet.place}", out=joined(out, name), spec=spec, whole=g.spec,
+                tags=_tags(g.plan, read),
+            )  # fmt: skip
+            yield _cog_task(work, seen)
 
 
-def _cog_task(arguments: dict[str, Any], spec: RasterSpec, blocks: list[list[str]]) -> Task:
-    digest = digest_of(arguments, blocks)
-    return Task("export", f"{arguments['name']}.tif", digest, write_cog, arguments, spec.height * spec.width)
+def _cog_task(work: WriteCog, blocks: list[list[str]]) -> Task:
+    pixels = work.spec.height * work.spec.width
+    return Task("export", f"{work.name}.tif", digest_of(work, blocks), write_cog, work, pixels)
 
 
 def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
     """One VRT for each product that is cut into sheets."""
     if g.plan.config.sheets is None:
         return
-    cut = [(sheet.place, sheet.spec.to_json()) for sheet in sheets(g)]
+    cut = [(sheet.place, sheet.spec) for sheet in sheets(g)]
     for name in g.plan.config.exported:
-        arguments = {
-            "product": name, "out": out, "tags": _tags(g.plan, whole_inputs), **_nodata(g.plan, name),
-            "sheets": [[f"{name}/{name}_{place}.tif", spec] for place, spec in cut],
-        }  # fmt: skip
-        yield Task("mosaic", f"{name}.vrt", digest_of(arguments), write_mosaic, arguments)
+        work = WriteMosaic(
+            product=name, out=out, tags=_tags(g.plan, whole_inputs), nodata=_nodata(g.plan, name),
+            sheets=tuple((f"{name}/{name}_{place}.tif", spec) for place, spec in cut),
+        )  # fmt: skip
+        yield Task("mosaic", f"{name}.vrt", digest_of(work), write_mosaic, work)
 
 
 def sheets(g: Gridding) -> list[Sheet]:
@@ -130,9 +131,9 @@ def _place(counts: Fraction) -> str:
     return f"{float(counts / COUNTS_PER_UNIT):.3f}".rstrip("0").rstrip(".")
 
 
-def _nodata(plan: Plan, name: str) -> dict[str, float]:
+def _nodata(plan: Plan, name: str) -> float | None:
     """What the files of a product say where it has no value, if that is the user's to say: not of codes and greys."""
-    return {"nodata": plan.config.nodata} if PRODUCTS[name].nodata == NODATA else {}
+    return plan.config.nodata if PRODUCTS[name].nodata == NODATA else None
 
 
 def _tags(plan: Plan, inputs: str) -> dict[str, str]:

@@ -14,6 +14,7 @@ from ptd.passes import MethodRefusal, Pass, RunFacts, State, later_passes
 from ptd.precompile import warm_filters
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError
+from tiler.filter import FilterTile
 from tiler.plan import KEEP
 from tiler.runs.job import Job
 from tiler.schedule import Task
@@ -102,16 +103,16 @@ def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: St
 
 def _leave_out(job: Job, task: Task, before: Before) -> None:
     """The points of a tile that failed have no label, and elect none: nothing of an earlier run, either."""
-    cells = [Cell(*indices) for indices in task.arguments["cells"]]
-    buckets = job.store.buckets_within(job.plan.meta.bucket.hull(cells))
-    for cell in cells:
-        if task.arguments["elected_out"] is not None:
-            job.store.write_elected(task.arguments["elected_out"], cell, np.zeros((3, 0), np.int32))
-        elif task.arguments["of_elected"]:
+    work: FilterTile = task.arguments
+    buckets = job.store.buckets_within(job.plan.meta.bucket.hull(work.cells))
+    for cell in work.cells:
+        if work.elected_out is not None:
+            job.store.write_elected(work.elected_out, cell, np.zeros((3, 0), np.int32))
+        elif work.of_elected:
             labels = np.zeros(before.n_elected[cell], np.uint8)
-            job.store.write_elected_labels(task.arguments["labels_out"], cell, labels)
+            job.store.write_elected_labels(work.labels_out, cell, labels)
         else:
-            job.store.write_labels(task.arguments["labels_out"], cell, np.zeros(buckets[cell].n, np.uint8))
+            job.store.write_labels(work.labels_out, cell, np.zeros(buckets[cell].n, np.uint8))
 
 
 def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,7 @@ def contents(
         job.listener("task_done", {"stage": stage, "key": task.key, "points": task.points,
                                    "seconds": round(outcome.seconds, 3), "peak_rss_bytes": 0})  # fmt: skip
         found: dict[str, dict[str, str]] = outcome.record or {}
-        for place, _ in task.arguments["files"]:
+        for place, _ in task.arguments.files:
             error = f"{place}: what reads it {outcome.error}; get the file again"
             yield place, found.get(place, {"error": error})
     seconds = round(time.monotonic() - start, 3)
@@ -134,17 +135,24 @@ def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:
 
 
 def _task(stage: str, group: list[File]) -> Task:
-    files = [[place, state.to_json()] for place, state, _ in group]
-    digest = digest_of(files)
-    return Task(stage, digest, digest, read_files, {"files": files}, sum(points for _, _, points in group))
+    work = ReadFiles(tuple((place, state) for place, state, _ in group))
+    digest = digest_of(work)
+    return Task(stage, digest, digest, read_files, work, sum(points for _, _, points in group))
 
 
-def read_files(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class ReadFiles:
+    """``files``: place of each file that is read, and the state in which it was found."""
+
+    files: tuple[tuple[str, State], ...]
+
+
+def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
     """On a worker: place -> ``content``, or ``error``, of some files."""
     found = {}
-    for place, state in arguments["files"]:
+    for place, state in work.files:
         try:
-            found[place] = {"content": _content(cloud_path(place), State(*state))}
+            found[place] = {"content": _content(cloud_path(place), state)}
         except InputError as error:
             found[place] = {"error": str(error)}
     return found

@@ -16,7 +16,7 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.raster import RasterSpec
 from tiler.errors import ProcessingError
-from tiler.grid import DEEP_M, blank_blocks
+from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
 from tiler.plan import GRID_BLOCK, KEEP
 from tiler.plan.advice import roofs_in_terrain
 from tiler.runs.job import Job
@@ -109,9 +109,9 @@ def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None
     """Have the workers remove blocks that an earlier run wrote: this one may not write them again."""
     blocks, tasks = [spec.block_named(key, GRID_BLOCK) for key in sorted(keys)], []
     for start in range(0, len(blocks), BLANK_BLOCKS):
-        some = [[b.row, b.col, b.height, b.width] for b in blocks[start : start + BLANK_BLOCKS]]
-        digest = digest_of(name, some)
-        tasks.append(Task("blank", digest, digest, blank_blocks, {"name": name, "blocks": some}))
+        work = BlankBlocks(name, tuple(blocks[start : start + BLANK_BLOCKS]))
+        digest = digest_of(work)
+        tasks.append(Task("blank", digest, digest, blank_blocks, work))
     for outcome in job.crew.executor().run(compute, job.store.url, tasks) if tasks else ():
         if outcome.record is None and not outcome.again:
             raise ProcessingError(f"{name}: blocks of an earlier run cannot be removed: {outcome.error}")
@@ -160,7 +160,7 @@ def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mappin
         "width": spec.width, "height": spec.height, "resolution_m": float(job.plan.resolution),
         **{k: sum(r[k] for r in records) for k in ("filled", "marked")},
         "blocks": len(tasks), "blocks_done_again": sum(r["tries"] > 1 for r in records),
-        "thinned": any(task.arguments["thin_cell"] for task in tasks),
+        "thinned": any(task.arguments.thin for task in tasks),
     }  # fmt: skip
     if records and job.facts["dtm"]["filled"] == 0:
         config = job.plan.config

@@ -157,7 +157,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
 
 def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
     """Decode again the pieces that buckets need and that `tiler clean` removed."""
-    needed = {piece for task in todo for bucket in task.arguments["buckets"] for piece, *_ in bucket[2]}
+    needed = {piece for task in todo for bucket in task.arguments.buckets for piece, *_ in bucket.fragments}
     gone = needed - job.store.pieces() if needed else set()
     if gone:
         job.note(f"{len(gone)} pieces were removed from the store since they were decoded; they are again")

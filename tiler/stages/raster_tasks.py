@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
 
-from tiler.core.lattice import Cell
+from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import Block, RasterSpec, north_west
-from tiler.grid import blocks_of, full_halo, reach_pixels
+from tiler.grid import (
+    DeriveBlock,
+    DistanceBlock,
+    FillBlock,
+    MakeSurvey,
+    MaskBlock,
+    PointsBlock,
+    SurfaceBlock,
+    Void,
+    VoidRasters,
+    blocks_of,
+    full_halo,
+    reach_pixels,
+)
 from tiler.plan import GRID_BLOCK
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding, Raster
-from tiler.stages.tasks import area_key, grid_tasks, ground_arguments
+from tiler.stages.tasks import area_key, grid_tasks, ground_rule
 from tiler.store import Commits
 from tiler.version import __version__
 
@@ -26,10 +38,6 @@ def _near(g: Gridding, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cel
     return spec.blocks_near(g.plan.meta.bucket, g.labels, GRID_BLOCK, reach)
 
 
-def _of_block(block: Block) -> list[int]:
-    return [block.row, block.col, block.height, block.width]
-
-
 def terrain_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block that a facet of the terrain could reach."""
     return grid_tasks(g.plan, g.assembled, g.labels, raster.name)
@@ -37,13 +45,22 @@ def terrain_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
 
 def point_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block with points, of which a pixel sees those within itself."""
-    return _block_tasks(raster, g, {}, 0)
+    spec, rule = g.spec_of(raster), ground_rule(g.plan)
+
+    def work(block: Block) -> PointsBlock:
+        return PointsBlock(name=raster.name, spec=spec, block=block, rule=rule)
+
+    return _block_tasks(raster, g, work, 0)
 
 
 def distance_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block within reach of points; distances are capped."""
-    cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
-    return _block_tasks(raster, g, {"cap": str(cap)}, math.ceil(cap) + 1)
+    spec, rule, cap = g.spec, ground_rule(g.plan), g.plan.meta.frame.counts(g.plan.config.max_edge)
+
+    def work(block: Block) -> DistanceBlock:
+        return DistanceBlock(name=raster.name, spec=spec, block=block, rule=rule, cap=cap)
+
+    return _block_tasks(raster, g, work, math.ceil(cap) + 1)
 
 
 def surface_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
@@ -51,65 +68,61 @@ def surface_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     plan, frame = g.plan, g.plan.meta.frame
     limit, reach = frame.counts(plan.config.max_edge), reach_pixels(plan.resolution)
     (terrain,) = raster.inputs
-    special = {
-        "data": g.assembled.bounds.to_json(), "max_edge": str(limit), "reach": reach,
-        "spike": str(plan.config.spike / frame.metres_z), "halo": math.ceil(frame.counts(plan.grid_halo)),
-        "terrain": terrain,
-    }  # fmt: skip
+    spec, rule, data = g.spec, ground_rule(plan), g.assembled.bounds
+    halo, spike = math.ceil(frame.counts(plan.grid_halo)), plan.config.spike / frame.metres_z
+
+    def work(block: Block) -> SurfaceBlock:
+        return SurfaceBlock(
+            name=raster.name, spec=spec, block=block, rule=rule, data=data, max_edge=limit, halo=halo,
+            spike=spike, reach=reach, terrain=terrain,
+        )  # fmt: skip
+
     return _block_tasks(
-        raster, g, special, full_halo(limit) + math.ceil((reach + 1) * frame.counts(plan.resolution))
+        raster, g, work, full_halo(limit) + math.ceil((reach + 1) * frame.counts(plan.resolution))
     )
 
 
-def _block_tasks(raster: Raster, g: Gridding, special: dict[str, Any], reach: int) -> Iterator[Task]:
+def _block_tasks(
+    raster: Raster, g: Gridding, work_of: Callable[[Block], PointsBlock], reach: int
+) -> Iterator[Task]:
     """One for each block within ``reach`` counts of points; it sees the same block of the raster's inputs."""
-    spec = g.spec_of(raster)
-    common = {"name": raster.name, "spec": spec.to_json(), **ground_arguments(g.plan), **special}
     reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
-    for block, near in _near(g, spec, reach).items():
-        arguments = {**common, "block": _of_block(block)}
+    for block, near in _near(g, g.spec_of(raster), reach).items():
+        work = work_of(block)
         under = [
             g.made[name][block.name][1]["checksum"] for name in raster.inputs if block.name in g.made[name]
         ]
         seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in near]
         points = sum(g.assembled.records[cell]["n"] for cell in near)
-        digest = digest_of(__version__, arguments, seen, under)
-        yield Task(raster.stage, block.name, digest, raster.work, arguments, points)
+        yield Task(
+            raster.stage, block.name, digest_of(__version__, work, seen, under), raster.work, work, points
+        )
 
 
 def survey_task(raster: Raster, g: Gridding) -> Iterator[Task]:
     """The one that makes the survey at once."""
     coarse = g.coarse
     (occupancy,) = raster.inputs
-    arguments = {
-        "name": raster.name, "spec": coarse.to_json(), "occupancy": occupancy,
-        "bridge": float(g.plan.config.max_edge / g.coarse_m), "pixels": g.spec.to_json(),
-    }  # fmt: skip
-    digest = digest_of(__version__, arguments, checksums(g.made[occupancy]))
-    yield Task(raster.stage, WHOLE, digest, raster.work, arguments, coarse.height * coarse.width)
+    work = MakeSurvey(raster.name, coarse, occupancy, float(g.plan.config.max_edge / g.coarse_m), g.spec)
+    digest = digest_of(__version__, work, checksums(g.made[occupancy]))
+    yield Task(raster.stage, WHOLE, digest, raster.work, work, coarse.height * coarse.width)
 
 
 def voids_task(raster: Raster, g: Gridding) -> Iterator[Task]:
     """The one that numbers the voids of a model."""
     spec = g.spec
     model, survey = raster.inputs
-    arguments = {
-        "name": raster.name, "heights": model, "spec": spec.to_json(), "survey": survey, "coarse": g.coarse.to_json(),
-    }  # fmt: skip
-    digest = digest_of(__version__, arguments, checksums(g.made[model]), checksums(g.made[survey]))
-    yield Task(raster.stage, WHOLE, digest, raster.work, arguments, spec.height * spec.width)
+    work = VoidRasters(model, spec, survey, g.coarse, raster.name)
+    digest = digest_of(__version__, work, checksums(g.made[model]), checksums(g.made[survey]))
+    yield Task(raster.stage, WHOLE, digest, raster.work, work, spec.height * spec.width)
 
 
 def fill_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block of a model; it depends on all blocks in which the rim of one of its voids can lie."""
-    spec, coarse = g.spec, g.coarse
+    spec = g.spec
     model, survey, voids = raster.inputs
-    found = g.made[voids]
+    rasters, found = VoidRasters(model, spec, survey, g.coarse, voids), g.made[voids]
     boxes = found[WHOLE][1]["voids"] if WHOLE in found else []
-    common = {
-        "name": raster.name, "heights": model, "spec": spec.to_json(), "survey": survey, "coarse": coarse.to_json(),
-        "numbers": voids,
-    }  # fmt: skip
     voids_of: dict[str, list[int]] = defaultdict(list)
     rims: list[str] = []
     for number, runs in enumerate(found[WHOLE][1]["blocks"] if WHOLE in found else []):
@@ -124,51 +137,45 @@ def fill_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         mine = voids_of.get(key, [])
         own = g.made[model][key][1]["checksum"] if key in g.made[model] else None
         block = spec.block_named(key, GRID_BLOCK)
-        arguments = {**common, "block": _of_block(block), "voids": [[n + 1, *boxes[n]] for n in mine]}
+        work = FillBlock(raster.name, block, rasters, tuple(Void(n + 1, Block(*boxes[n])) for n in mine))
         seen = [own, surveyed, [numbers, *(rims[n] for n in mine)] if mine else []]
-        digest = digest_of(__version__, arguments, seen)
-        yield Task(raster.stage, key, digest, raster.work, arguments, block.height * block.width)
+        digest = digest_of(__version__, work, seen)
+        yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
 
 
 def mask_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block that has a height, or could have one: within the survey, or where a tile failed."""
-    spec = g.spec
+    spec, coarse, rule, area = g.spec, g.coarse, ground_rule(g.plan), area_key(g.plan)
     dtm, heights, survey = raster.inputs
-    common = {
-        "name": raster.name, "spec": spec.to_json(), "dtm": dtm, "filled": heights, "survey": survey,
-        "coarse": g.coarse.to_json(), "area": area_key(g.plan), **ground_arguments(g.plan),
-    }  # fmt: skip
     surveyed = checksums(g.made[survey])
-    erode = math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
-    near = _near(g, spec, erode)
-    holes: dict[Block, list[list[int]]] = defaultdict(list)
+    near = _near(g, spec, math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion)))
+    holes: dict[Block, list[Bounds]] = defaultdict(list)
     for hole in g.holes:
         for block in spec.blocks_within(hole, GRID_BLOCK):
-            holes[block].append(hole.to_json())
+            holes[block].append(hole)
     inside = blocks_of(g.made[survey][WHOLE][1]["blocks"], spec, GRID_BLOCK)
     made = (spec.block_named(key, GRID_BLOCK) for name in (dtm, heights) for key in g.made[name])
     for block in sorted({*near, *holes, *inside, *made}, key=north_west):
-        arguments = {**common, "block": _of_block(block), "holes": holes.get(block, [])}
+        work = MaskBlock(
+            name=raster.name, spec=spec, block=block, rule=rule, dtm=dtm, filled=heights, survey=survey,
+            coarse=coarse, holes=tuple(holes.get(block, ())), area=area,
+        )  # fmt: skip
         rasters = [
             g.made[name][block.name][1]["checksum"] for name in (dtm, heights) if block.name in g.made[name]
         ]
         seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in near.get(block, [])]
-        digest = digest_of(__version__, arguments, surveyed, rasters, seen)
-        yield Task(raster.stage, block.name, digest, raster.work, arguments, block.height * block.width)
+        digest = digest_of(__version__, work, surveyed, rasters, seen)
+        yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
 
 
 def derived_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block that all inputs have; its pixels see one pixel of the blocks around."""
     spec = g.spec
-    common = {
-        "name": raster.name, "spec": spec.to_json(), "fill": raster.fill, "sources": list(raster.inputs),
-    }  # fmt: skip
     keys = set.intersection(*(set(g.made[source]) for source in raster.inputs))
     for block in sorted((spec.block_named(key, GRID_BLOCK) for key in keys), key=north_west):
-        arguments = {**common, "block": _of_block(block)}
-        seen = [_around(g.made[source], block) for source in raster.inputs]
-        digest = digest_of(__version__, arguments, seen)
-        yield Task(raster.stage, block.name, digest, raster.work, arguments, block.height * block.width)
+        work = DeriveBlock(name=raster.name, spec=spec, block=block, sources=raster.inputs, fill=raster.fill)
+        digest = digest_of(__version__, work, [_around(g.made[source], block) for source in raster.inputs])
+        yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
 
 
 def checksums(commits: Commits) -> list[list[str]]:

@@ -16,14 +16,17 @@ from typing import Any
 
 from ptd.methods import METHODS
 from ptd.passes import Pass, later_passes
-from tiler.core.classes import OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
+from tiler.core.classes import GROUND, OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
-from tiler.export import write_classified
-from tiler.filter import LABELS, filter_tile, sight_m
-from tiler.grid import full_halo, grid_block
+from tiler.export import WriteClassified, write_classified
+from tiler.filter import LABELS, FilterTile, filter_tile, sight_m
+from tiler.grid import GridBlock, GroundRule, full_halo, grid_block
 from tiler.ingest import (
+    AssembleBuckets,
+    BucketParts,
     SourceInfo,
+    SpoolPiece,
     Strays,
     assemble_buckets,
     claimed_bounds,
@@ -81,16 +84,14 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
     for source in sources:
         wanted = plan.buckets_of(source.info)
         claimed = claimed_bounds(source.info)
-        extent = None if claimed is None else claimed.to_json()
         for start, count in pieces(source.info, PIECE_POINTS):
             key = f"{source.name}-{start:012d}"
-            identity = digest_of(source.identity, source.number, start, count, extent, plan.meta.to_json())
-            arguments = {
-                "path": location(source.info.path), "source": source.number, "piece": key, "start": start,
-                "count": count, "wanted": wanted, "salvage": plan.config.salvage, "extent": extent,
-                "identity": identity, "stamp": source.info.stamp,
-            }  # fmt: skip
-            yield Task("spool", key, digest_of(identity, wanted), spool_piece, arguments, count)
+            identity = digest_of(source.identity, source.number, start, count, claimed, plan.meta.to_json())
+            work = SpoolPiece(
+                location(source.info.path), source.number, key, start, count, wanted,
+                salvage=plan.config.salvage, extent=claimed, identity=identity, stamp=source.info.stamp,
+            )  # fmt: skip
+            yield Task("spool", key, digest_of(identity, wanted), spool_piece, work, count)
 
 
 def by_source(spooled: Commits) -> dict[str, list[dict[str, Any]]]:
@@ -147,28 +148,31 @@ def assemble_tasks(
 ) -> Iterator[Task]:
     """One for each group of neighbouring buckets."""
 
-    def bucket(cell: Cell) -> list[Any]:
+    def bucket(cell: Cell) -> BucketParts:
         sources = {int(source_of(piece)[1:]) for piece, _, _ in fragments[cell]} & strays.keys()
-        rules = [[n, strays[n].rule(plan.meta.bucket, cell)] for n in sorted(sources)]
-        rules = [rule for rule in rules if rule[1] is not None]
-        return [cell.ix, cell.iy, [list(f) for f in fragments[cell]], *([rules] if rules else [])]
+        rules = ((n, strays[n].rule(plan.meta.bucket, cell)) for n in sorted(sources))
+        return BucketParts(
+            cell, tuple(fragments[cell]), tuple((n, rule) for n, rule in rules if rule is not None)
+        )
 
     groups: dict[Cell, list[Cell]] = defaultdict(list)
     for cell in fragments:
         groups[Cell(cell.ix // GROUP, cell.iy // GROUP)].append(cell)
-    flags, keep = skip_flags(plan), list(plan.config.keep_classes)
+    flags, keep = skip_flags(plan), plan.config.keep_classes
     for group in sorted(groups):
-        buckets = [bucket(c) for c in sorted(groups[group])]
+        buckets = tuple(bucket(c) for c in sorted(groups[group]))
         parents = [
             spooled[piece][1]["identity"]
             for piece in sorted({f[0] for c in groups[group] for f in fragments[c]})
         ]
         points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
-        arguments = {"buckets": buckets, "keep_classes": keep, "skip_flags": flags}
         # In which rows of a piece the points lie depends on what else is wanted of it; which points they are does not.
-        content = [[ix, iy, [[f[0], f[2] - f[1]] for f in held], rest] for ix, iy, held, *rest in buckets]
+        content = [
+            [b.cell, [[piece, stop - start] for piece, start, stop in b.fragments], b.rules] for b in buckets
+        ]
         digest = digest_of(content, keep, flags, parents)
-        yield Task("assemble", group.name, digest, assemble_buckets, arguments, points)
+        work = AssembleBuckets(buckets, keep, flags)
+        yield Task("assemble", group.name, digest, assemble_buckets, work, points)
 
 
 @dataclass(frozen=True)
@@ -266,27 +270,25 @@ def filter_tasks(
     if step.elected:
         records = {cell: {**record, "n_elected": before.n_elected[cell]} for cell, record in records.items()}
     for tile in tiles_of(plan, records, plan.passes[number]):
-        arguments = {
-            "method": plan.config.method, "parameters": plan.parameters, "pass": number, "state": dict(state),
-            "cells": [[c.ix, c.iy] for c in tile.cells], "halo": tile.halo, "max_halo": tile.max_halo,
-            "keep_classes": list(plan.config.keep_classes), "skip_flags": skip_flags(plan),
-            "labels_in": before.labels if reads else None,
-            "labels_out": LABELS if last else labels_name(number),
-            "elected_in": before.elected if step.elected else None,
-            "elected_labels_in": before.elected_labels if step.elected and reads else None,
-            "elected_out": elected_name(number) if step.elects else None,
-            "of_elected": step.elected and not last,
-        }  # fmt: skip
+        work = FilterTile(
+            plan.config.method, plan.parameters, number, dict(state), tile.cells, tile.halo, tile.max_halo,
+            plan.config.keep_classes, skip_flags(plan),
+            labels_in=before.labels if reads else None,
+            labels_out=LABELS if last else labels_name(number),
+            elected_in=before.elected if step.elected else None,
+            elected_labels_in=before.elected_labels if step.elected and reads else None,
+            elected_out=elected_name(number) if step.elects else None,
+            of_elected=step.elected and not last,
+            held_bytes=held_bytes(plan.memory),
+        )  # fmt: skip
         sight = plan.meta.bucket.hull(tile.cells).pad(max(tile.max_halo + beyond, margin))
         digests = before.digests if reads else assembled.digests
         near = plan.meta.bucket.among(sight, digests)
         seen = [[c.ix, c.iy, digests[c]] for c in near]
         made = [before.elected_digests[c] for c in near] if step.elected else []
         points = sum(assembled.records[c]["n"] for c in tile.cells)
-        digest = digest_of(__version__, arguments, seen, made)
-        # How much is kept for neighbours changes nothing: it is no part of the digest.
-        arguments["held_bytes"] = held_bytes(plan.memory)
-        yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, arguments, points)
+        digest = digest_of(__version__, work, seen, made)
+        yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
 
 
 def label_digests(assembled: Assembled, filtered: Commits, what: str = "labels") -> dict[Cell, str]:
@@ -313,40 +315,31 @@ def raster_spec(plan: Plan, assembled: Assembled) -> RasterSpec:
     return RasterSpec.covering(Lattice(plan.meta.frame.counts(plan.resolution)), extent)
 
 
-def ground_arguments(plan: Plan) -> dict[str, Any]:
-    """Arguments of a task that say which points are ground."""
+def ground_rule(plan: Plan) -> GroundRule:
+    """Which points are ground."""
     keep = plan.config.method == KEEP
-    return {
-        "labels": None if keep else LABELS, "classes": list(plan.config.ground_classes) if keep else [2],
-        "skip_flags": skip_flags(plan), "erode": str(plan.meta.frame.counts(plan.config.erosion)),
-        "erode_rise": math.ceil(ERODE_RISE_M / plan.meta.frame.metres_z),
-    }  # fmt: skip
+    return GroundRule(
+        None if keep else LABELS, plan.config.ground_classes if keep else (GROUND,), skip_flags(plan),
+        plan.meta.frame.counts(plan.config.erosion), math.ceil(ERODE_RISE_M / plan.meta.frame.metres_z),
+    )  # fmt: skip
 
 
 def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], name: str) -> Iterator[Task]:
     """One for each block of the raster that a facet could reach."""
     spec, frame = raster_spec(plan, assembled), plan.meta.frame
-    max_edge, percent, share = (
-        frame.counts(plan.config.max_edge),
-        plan.config.surface_percent,
-        plan.surface_share,
-    )
+    max_edge, share = frame.counts(plan.config.max_edge), plan.surface_share
+    thin = None if share is None else Lattice(frame.counts(plan.resolution / share))
+    rule, data, halo = ground_rule(plan), assembled.bounds, math.ceil(frame.counts(plan.grid_halo))
     reach = full_halo(max_edge) + math.ceil(frame.counts(plan.config.erosion))
-    common = {
-        "name": name, "spec": spec.to_json(), "data": assembled.bounds.to_json(), **ground_arguments(plan),
-        "max_edge": str(max_edge), "halo": math.ceil(frame.counts(plan.grid_halo)),
-        "max_halo": full_halo(max_edge),
-        "interpolation": plan.config.interpolation, "percent": percent,
-        "thin_cell": None if share is None else str(frame.counts(plan.resolution / share)),
-    }  # fmt: skip
     for block, near in spec.blocks_near(plan.meta.bucket, labels, GRID_BLOCK, reach).items():
-        seen = [[cell.ix, cell.iy, labels[cell]] for cell in near]
-        arguments = {**common, "block": [block.row, block.col, block.height, block.width]}
-        # In how many parts a block is done changes nothing: it is no part of the digest.
-        digest = digest_of(__version__, arguments, seen)
-        arguments["max_points"] = plan.block_points
+        work = GridBlock(
+            name=name, spec=spec, block=block, rule=rule, data=data, max_edge=max_edge,
+            halo=halo, max_halo=full_halo(max_edge), interpolation=plan.config.interpolation,
+            percent=plan.config.surface_percent, thin=thin, max_points=plan.block_points,
+        )  # fmt: skip
+        digest = digest_of(__version__, work, [[cell.ix, cell.iy, labels[cell]] for cell in near])
         points = sum(assembled.records[cell]["n"] for cell in near)
-        yield Task(f"grid-{name}", block.name, digest, grid_block, arguments, points)
+        yield Task(f"grid-{name}", block.name, digest, grid_block, work, points)
 
 
 def classified_tasks(
@@ -363,12 +356,10 @@ def classified_tasks(
         cells = sorted(touched & labels.keys())  # a bucket whose task failed is not there
         extent = claimed_bounds(source.info)
         whole = plan.area is None or (extent is not None and plan.area.covers(extent))
-        arguments = {
-            "path": location(source.info.path), "source": source.number,
-            "out": joined(out, "classified", str(plan.names[source.info.path])), "labels": LABELS,
-            "cells": [[c.ix, c.iy] for c in cells], "salvage": plan.config.salvage,
-            "area": None if whole else area_key(plan),
-        }  # fmt: skip
-        digest = digest_of(__version__, source.identity, arguments, [labels[c] for c in cells])
-        arguments["stamp"] = source.info.stamp  # a file that was touched has the bytes that it had
-        yield Task("export", f"c{source.number:06d}", digest, write_classified, arguments, source.info.points)
+        work = WriteClassified(
+            path=location(source.info.path), source=source.number,
+            out=joined(out, "classified", str(plan.names[source.info.path])), labels=LABELS, cells=tuple(cells),
+            salvage=plan.config.salvage, area=None if whole else area_key(plan), stamp=source.info.stamp,
+        )  # fmt: skip
+        digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells])
+        yield Task("export", f"c{source.number:06d}", digest, write_classified, work, source.info.points)

@@ -16,7 +16,7 @@ from tiler.apps.evaluate import filter_and_evaluate
 from tiler.apps.preview import make_preview
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, ProcessingError
-from tiler.filter import filter_tile
+from tiler.filter import FilterTile, filter_tile
 from tiler.stages import tasks
 
 
@@ -34,9 +34,9 @@ def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
     failing: list[object] = []
 
-    def work(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        if arguments["cells"] in (failing or [arguments["cells"]]):
-            failing[:] = [arguments["cells"]]
+    def work(store_url: str, arguments: FilterTile) -> dict[str, Any]:
+        if arguments.cells in (failing or [arguments.cells]):
+            failing[:] = [arguments.cells]
             raise ProcessingError("this tile fails")
         return filter_tile(store_url, arguments)
 

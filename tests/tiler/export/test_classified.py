@@ -12,7 +12,7 @@ import pytest
 from tiler.core.lattice import Cell
 from tiler.core.points import PointBlock, pack_origin
 from tiler.errors import InputError, ProcessingError
-from tiler.export import classified
+from tiler.export import WriteClassified, classified
 from tiler.export.classified import write_classified
 from tiler.io.las.headers import LasHeader, read_header, read_payload
 from tiler.io.las.reader import EVERYTHING, PointReader
@@ -22,9 +22,9 @@ ALL_FORMATS = [
 ]
 
 
-def label(store: Any, labels: dict[int, int], source: int = 4) -> list[list[int]]:
+def label(store: Any, labels: dict[int, int], source: int = 4) -> tuple[Cell, ...]:
     """Put labels of rows into two buckets of the store, among points of another source, marks set."""
-    cells = [Cell(0, 0), Cell(1, 0)]
+    cells = (Cell(0, 0), Cell(1, 0))
     for k, cell in enumerate(cells):
         rows = np.array([r for r in labels if r % 2 == k][::-1], dtype=np.int64)
         origin = np.concatenate((pack_origin(source, rows), pack_origin(source + 1, rows)))
@@ -32,13 +32,12 @@ def label(store: Any, labels: dict[int, int], source: int = 4) -> list[list[int]
         values[::3] |= 0x80
         store.written[cell] = PointBlock(np.zeros((3, len(origin)), np.int32), origin=origin)
         store.labels["final", cell] = values
-    return [[c.ix, c.iy] for c in cells]
+    return cells
 
 
-def export(path: Path, out: Path, cells: list[list[int]], **args: Any) -> dict[str, Any]:
-    return write_classified(
-        "memory", {"path": str(path), "source": 4, "out": str(out), "labels": "final", "cells": cells, **args}
-    )
+def export(path: Path, out: Path, cells: tuple[Cell, ...], **options: Any) -> dict[str, Any]:
+    work = WriteClassified(path=str(path), source=4, out=str(out), labels="final", cells=cells, **options)
+    return write_classified("memory", work)
 
 
 def raw_records(path: Path, header: LasHeader, extended: bool) -> list[bytes]:
@@ -123,7 +122,7 @@ def test_waveform_packets_of_las_1_3_move_with_their_position(
     if not path.exists():
         pytest.skip(f"no {path}")
     out = tmp_path / "w.laz"
-    export(path, out, [])
+    export(path, out, ())
     old, new = read_header(path), read_header(out)
     packets = path.read_bytes()[old.waveform_start :]
     assert len(packets) == 160
@@ -137,7 +136,7 @@ def test_waveform_packets_of_las_1_4_are_an_evlr(make_cloud: Any, memory_store: 
     struct.pack_into("<Q", data, 227, header.evlrs[0].start)
     path.write_bytes(data)
     out = tmp_path / "w.laz"
-    export(path, out, [])
+    export(path, out, ())
     new = read_header(out)
     assert new.waveform_start == new.evlrs[0].start
     assert read_payload(out, new.evlrs[0]) == b"packets"
@@ -188,9 +187,9 @@ def test_a_salvaged_file_says_how_many_points_it_has(
         path = make_cloud("cut.las", point_format=point_format, version=version)
         path.write_bytes(path.read_bytes()[:-100])
         with pytest.raises(InputError):
-            export(path, tmp_path / "no.laz", [])
+            export(path, tmp_path / "no.laz", ())
         out = tmp_path / "cut.laz"
-        kept = export(path, out, [], salvage=True)["points"]
+        kept = export(path, out, (), salvage=True)["points"]
         assert 990 < kept < 1000
         assert laspy.read(out).header.point_count == kept == len(laspy.read(out))
 
@@ -202,7 +201,7 @@ def test_a_cut_laz_is_written_up_to_its_last_whole_chunk(
     path = make_cloud("cut.laz", n=60_000, point_format=point_format, version="1.4")
     path.write_bytes(path.read_bytes()[:-20_000])
     out = tmp_path / "out.laz"
-    assert export(path, out, [], salvage=True)["points"] == 50_000
+    assert export(path, out, (), salvage=True)["points"] == 50_000
     assert len(laspy.read(out)) == 50_000
 
 
@@ -222,7 +221,7 @@ def test_a_failure_leaves_no_file(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(ProcessingError, match="No space left"):
-        export(make_cloud("a.las"), tmp_path / "out" / "a.laz", [])
+        export(make_cloud("a.las"), tmp_path / "out" / "a.laz", ())
     assert list((tmp_path / "out").iterdir()) == []
 
 
@@ -235,5 +234,5 @@ def test_wave_packets_of_several_channels_are_refused_not_damaged(
 
     path = make_cloud("w.las", point_format=point_format, version="1.4", edit=two_channels)
     with pytest.raises(ProcessingError, match=r"scanner channels \[0, 1\]"):
-        export(path, tmp_path / "out" / "w.laz", [])
+        export(path, tmp_path / "out" / "w.laz", ())
     assert list((tmp_path / "out").iterdir()) == []

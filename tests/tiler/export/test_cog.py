@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError
+from tiler.export import WriteCog
 from tiler.export.cog import Statistics, write_cog
 from tiler.store import StoreMeta, TileStore, create_store
 
@@ -51,12 +53,21 @@ def filled_store(folder: Path, spec: RasterSpec, heights: np.ndarray, frame: Coo
     return store
 
 
+def work(folder: Path, spec: RasterSpec, compress: str = "deflate") -> WriteCog:
+    return WriteCog(
+        name="dtm",
+        raster="dtm",
+        product="dtm",
+        spec=spec,
+        out=str(folder),
+        compress=compress,
+        tags=TAGS,
+        fill=NODATA,
+    )
+
+
 def export(folder: Path, store: TileStore, spec: RasterSpec, compress: str = "deflate") -> dict:
-    arguments = {
-        "name": "dtm", "spec": spec.to_json(), "out": str(folder),
-        "compress": compress, "tags": TAGS,
-    }  # fmt: skip
-    return write_cog(store.url, arguments)
+    return write_cog(store.url, work(folder, spec, compress))
 
 
 def frame_of(code: str | None, units: Units | None = None) -> CoordFrame:
@@ -196,18 +207,11 @@ def test_statistics_merge():
 
 @pytest.mark.parametrize("product", ["dtm", "slope"])
 def test_the_file_has_the_nodata_value_that_was_asked_for(product, tmp_path, store):
-    arguments = {
-        "name": "dtm",
-        "spec": SPEC.to_json(),
-        "out": str(tmp_path),
-        "compress": "deflate",
-        "tags": TAGS,
-    }
-    usual = write_cog(store.url, arguments)
+    usual = export(tmp_path, store, SPEC)
     with rasterio.open(tmp_path / "dtm.tif") as raster:
         expected = raster.read(1, masked=True)
         coarse = raster.read(1, masked=True, out_shape=(SPEC.height // 2, SPEC.width // 2))
-    other = write_cog(store.url, {**arguments, "product": product, "nodata": -999999.0})
+    other = write_cog(store.url, replace(work(tmp_path, SPEC), product=product, nodata=-999999.0))
     with rasterio.open(tmp_path / "dtm.tif") as raster:
         assert raster.nodata == -999999.0
         found = raster.read(1, masked=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyproj
@@ -15,7 +16,7 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.units import Units
-from tiler.export import write_cog, write_mosaic
+from tiler.export import WriteCog, WriteMosaic, write_cog, write_mosaic
 from tiler.store import StoreMeta, create_store
 
 SIDE = 64
@@ -41,11 +42,15 @@ def exported(folder: Path, epsg: int) -> RasterSpec:
             "dtm", block, np.arange(spec.height * spec.width, dtype=np.float32).reshape(SIDE, -1)
         )
     sheets = [(f"{i}", RasterSpec(spec.lattice, west + i * SIDE, north, SIDE, SIDE)) for i in range(2)]
-    common = {"out": str(folder), "compress": "deflate", "tags": {}, "raster": "dtm", "fill": -9999.0}
+    common: dict[str, Any] = {"product": "dtm", "out": str(folder), "tags": {}}
     for name, sheet in sheets:
-        write_cog(store.url, {**common, "name": name, "spec": sheet.to_json(), "whole": spec.to_json()})
-    arguments = {"product": "dtm", "out": str(folder), "tags": {}}
-    write_mosaic(store.url, {**arguments, "sheets": [[f"{name}.tif", s.to_json()] for name, s in sheets]})
+        write_cog(
+            store.url,
+            WriteCog(
+                **common, name=name, raster="dtm", spec=sheet, whole=spec, compress="deflate", fill=-9999.0
+            ),
+        )
+    write_mosaic(store.url, WriteMosaic(**common, sheets=tuple((f"{name}.tif", s) for name, s in sheets)))
     return spec
 
 

@@ -15,9 +15,13 @@ import pytest
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
-from tiler.core.raster import RasterSpec
+from tiler.core.raster import Block, RasterSpec
+from tiler.grid import GridBlock, GroundRule
 from tiler.grid.block import block_heights, grid_block
 from tiler.store import StoreMeta, TileStore, create_store
+
+FINAL = GroundRule("final")
+"""Ground is what the scene's labels say."""
 
 
 @dataclass(frozen=True)
@@ -30,15 +34,9 @@ class Scene:
     def grid(self, size: Fraction, block: int = 512, **options: Any) -> tuple[np.ndarray, list[dict]]:
         """Heights of the raster of ``size`` counts a pixel, gridded block by block, and the records."""
         spec = RasterSpec.covering(Lattice(size), self.data)
-        arguments = {
-            "spec": spec.to_json(), "data": self.data.to_json(), "labels": "final",
-            "max_edge": str(options.pop("max_edge", 100_000)), "halo": 0, **options,
-        }  # fmt: skip
         heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
         for b in spec.blocks(block):
-            part, record = block_heights(
-                self.store, {**arguments, "block": [b.row, b.col, b.height, b.width]}
-            )
+            part, record = block_heights(self.store, self.work("", spec, b, **options))
             heights[b.row : b.row + b.height, b.col : b.col + b.width] = part
             records.append(record)
         return heights, records
@@ -48,13 +46,15 @@ class Scene:
         spec = RasterSpec.covering(Lattice(size), self.data)
         self.store.create_raster(name, spec.height, spec.width)
         for b in spec.blocks(512):
-            arguments = {
-                "name": name, "spec": spec.to_json(), "data": self.data.to_json(), "labels": "final",
-                "max_edge": "100000", "halo": 10_000, "block": [b.row, b.col, b.height, b.width], **options,
-            }  # fmt: skip
-            record = grid_block(self.store.url, json.loads(json.dumps(arguments)))
+            record = grid_block(self.store.url, self.work(name, spec, b, **{"halo": 10_000, **options}))
             json.dumps(record)
         return spec
+
+    def work(self, name: str, spec: RasterSpec, block: Block, **options: Any) -> GridBlock:
+        """What makes a block of the terrain, with a limit of 100 m, unless the options say otherwise."""
+        limit = Fraction(options.pop("max_edge", 100_000))
+        given = {"halo": 0, "rule": FINAL, **options}
+        return GridBlock(name=name, spec=spec, block=block, data=self.data, max_edge=limit, **given)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError
+from tiler.grid import GroundRule
 from tiler.grid.block import full_halo
 
 METRE = Fraction(1000)
@@ -160,7 +161,7 @@ def test_only_ground_counts_and_marks_are_carried(make_scene):
 
 def test_the_classes_of_the_input_are_trusted_for_keep(make_scene):
     scene = make_scene(scattered(500, 30_000))
-    heights, (record,) = scene.grid(METRE, labels=None, classes=[1])
+    heights, (record,) = scene.grid(METRE, rule=GroundRule(None, (1,)))
     assert record["ground_read"] == 500
     assert heights.max() > 0
 
@@ -177,8 +178,8 @@ def test_a_small_halo_is_widened_until_nothing_is_marked(make_scene):
 def test_thinning_does_not_show_blocks_and_keeps_a_plane(make_scene):
     scene = make_scene(plane_points(60_000, 60_000))
     cell = str(Fraction(250))
-    whole, (record,) = scene.grid(METRE, thin_cell=cell)
-    tiled, _ = scene.grid(METRE, 17, thin_cell=cell)
+    whole, (record,) = scene.grid(METRE, thin=Lattice(Fraction(cell)))
+    tiled, _ = scene.grid(METRE, 17, thin=Lattice(Fraction(cell)))
     assert tiled.tobytes() == whole.tobytes()
     assert record["ground_used"] < 0.75 * record["ground_read"]
     spec = RasterSpec.covering(Lattice(METRE), scene.data)
@@ -215,7 +216,7 @@ def test_every_interpolation_fills_the_same_pixels_and_shows_no_block(make_scene
 def test_a_robust_surface_keeps_planes_and_shows_no_block(make_scene, percent):
     xyz = plane_points(30_000, 50_000)
     scene = make_scene(xyz)
-    options = {"thin_cell": "500", "percent": percent}
+    options = {"thin": Lattice(Fraction(500)), "percent": percent}
     whole, (record,) = scene.grid(METRE, **options)
     tiled, _ = scene.grid(METRE, 17, **options)
     assert tiled.tobytes() == whole.tobytes()
@@ -233,8 +234,8 @@ def test_a_robust_surface_is_smoother_and_a_low_percentile_lower(make_scene):
     ).astype(np.int64)
     scene = make_scene(xyz)
     every, _ = scene.grid(METRE)
-    median, _ = scene.grid(METRE, thin_cell="500", percent=50)
-    low, _ = scene.grid(METRE, thin_cell="500", percent=10)
+    median, _ = scene.grid(METRE, thin=Lattice(Fraction(500)), percent=50)
+    low, _ = scene.grid(METRE, thin=Lattice(Fraction(500)), percent=10)
     inner = (slice(2, -2), slice(2, -2))
     assert median[inner].std() < 0.7 * every[inner].std()
     assert abs(median[inner].mean() - 5) < 0.03
@@ -250,10 +251,10 @@ def test_stumps_beside_objects_are_not_gridded(make_scene):
     labels = np.where(house, 1, 2).astype(np.uint8)
     scene = make_scene(np.column_stack((xy, z)).astype(np.int64), labels)
     stumps, _ = scene.grid(METRE)
-    clean, (record,) = scene.grid(METRE, erode="1500", erode_rise=1000)
+    clean, (record,) = scene.grid(METRE, rule=GroundRule("final", erode=Fraction(1500), erode_rise=1000))
     assert stumps.max() > 0.5
     assert np.abs(clean[clean != np.float32(NODATA)]).max() == 0
-    tiled, _ = scene.grid(METRE, 13, erode="1500", erode_rise=1000)
+    tiled, _ = scene.grid(METRE, 13, rule=GroundRule("final", erode=Fraction(1500), erode_rise=1000))
     assert tiled.tobytes() == clean.tobytes()
 
 
@@ -273,7 +274,7 @@ def test_a_choice_made_bucket_by_bucket_is_that_of_all(make_scene, monkeypatch, 
     rng = np.random.default_rng(3)
     xy = rng.integers(0, 60_000, (40_000, 2))
     scene = make_scene(np.column_stack((xy, rng.integers(0, 5_000, 40_000))).astype(np.int64), bucket=20_000)
-    options = {"thin_cell": cell, "percent": percent, "max_edge": 20_000, "max_points": 30_000}
+    options = {"thin": Lattice(Fraction(cell)), "percent": percent, "max_edge": 20_000, "max_points": 30_000}
     kept, (record,) = scene.grid(METRE, **options)
     monkeypatch.setattr("tiler.grid.block._by_bucket", lambda store, job: False)
     every, (whole,) = scene.grid(METRE, **options)

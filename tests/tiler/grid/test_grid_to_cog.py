@@ -12,6 +12,7 @@ import rasterio
 from tiler.core.frame import CoordFrame
 from tiler.core.raster import NODATA
 from tiler.core.units import FOOT, METRE, Units
+from tiler.export import WriteCog
 from tiler.export.cog import write_cog
 
 SIDE = 600_000
@@ -41,9 +42,11 @@ def test_a_plane_in_the_file(make_scene, tmp_path, code, unit, origin, size):
         spec = scene.grid_into_store(name, size, halo=halo)
         out = tmp_path / name
         out.mkdir()
-        arguments = {"name": name, "spec": spec.to_json(), "out": str(out),
-                     "compress": "deflate", "tags": {"TILER_METHOD": "keep"}}  # fmt: skip
-        write_cog(scene.store.url, arguments)
+        work = WriteCog(
+            name=name, raster=name, product="dtm", spec=spec, out=str(out), compress="deflate", fill=NODATA,
+            tags={"TILER_METHOD": "keep"},
+        )  # fmt: skip
+        write_cog(scene.store.url, work)
         files.append(out / f"{name}.tif")
     assert files[0].read_bytes() == files[1].read_bytes()
     with rasterio.open(files[0]) as cog:

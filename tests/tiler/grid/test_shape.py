@@ -16,7 +16,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
-from tiler.grid import derive_block
+from tiler.grid import DeriveBlock, derive_block
 from tiler.grid.shape import gradients, multidirectional_hillshade, slope_deg
 from tiler.store import StoreMeta, create_store
 
@@ -124,10 +124,9 @@ def test_blocks_do_not_show_and_units_count(product: str, tmp_path: Path) -> Non
         for b in spec.blocks(512):
             store.write_block("dtm", b, values[b.row : b.row + b.height, b.col : b.col + b.width])
         for b in spec.blocks(512):
-            derive_block(store.url, {
-                "name": product, "spec": spec.to_json(), "fill": fill, "sources": ["dtm"],
-                "block": [b.row, b.col, b.height, b.width],
-            })  # fmt: skip
+            derive_block(
+                store.url, DeriveBlock(name=product, spec=spec, block=b, sources=("dtm",), fill=fill)
+            )
         whole = [store.read_block(product, b) for b in spec.blocks(1024)]
         found.append(whole[0])
     e, n = gradients(padded(heights.astype(np.float32).astype(np.float64)), 1.0)

@@ -9,30 +9,32 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from tests.tiler.grid.conftest import Scene
+from tests.tiler.grid.conftest import FINAL, Scene
 from tests.tiler.grid.test_block import islands, l_shape, scattered, void
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
-from tiler.core.raster import NODATA, RasterSpec
+from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
-from tiler.grid.block import read_job
+from tiler.grid import DistanceBlock, SurfaceBlock
 from tiler.grid.distance import distance_block
 from tiler.grid.surface import above_terrain, surface_block, surface_heights
 
 PIXEL = Fraction(2000)
 
 
+def surface_work(scene: Scene, spec: RasterSpec, block: Block, **options: Any) -> SurfaceBlock:
+    usual = {"max_edge": Fraction(50_000), "halo": 0, "reach": 1, "spike": Fraction(5000)}
+    return SurfaceBlock(
+        name="dsm", terrain="dtm", spec=spec, block=block, data=scene.data, rule=FINAL, **{**usual, **options}
+    )
+
+
 def dsm(scene: Scene, block: int = 512, **options: Any) -> tuple[np.ndarray, list[dict]]:
     spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
-    arguments = {
-        "spec": spec.to_json(), "data": scene.data.to_json(), "labels": "final", "max_edge": "50000", "halo": 0,
-        "reach": 1, "spike": "5000", **options,
-    }  # fmt: skip
     heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
     for b in spec.blocks(block):
-        args = {**arguments, "block": [b.row, b.col, b.height, b.width]}
-        part, _, record = surface_heights(scene.store, read_job(args), args)
+        part, _, record = surface_heights(scene.store, surface_work(scene, spec, b, **options))
         heights[b.row : b.row + b.height, b.col : b.col + b.width] = part
         records.append(record)
     return heights, records
@@ -104,11 +106,7 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
     spec = scene.grid_into_store("dtm", PIXEL)
     scene.store.create_raster("dsm", spec.height, spec.width)
     (block,) = spec.blocks(512)
-    record = surface_block(scene.store.url, {
-        "name": "dsm", "terrain": "dtm", "spec": spec.to_json(), "data": scene.data.to_json(), "labels": "final",
-        "max_edge": "50000", "halo": 0, "reach": 1, "spike": "5000",
-        "block": [block.row, block.col, block.height, block.width],
-    })  # fmt: skip
+    record = surface_block(scene.store.url, surface_work(scene, spec, block))
     surface, terrain = scene.store.read_block("dsm", block), scene.store.read_block("dtm", block)
     both = (surface != np.float32(NODATA)) & (terrain != np.float32(NODATA))
     assert both.mean() > 0.9
@@ -138,12 +136,12 @@ def test_the_distance_is_that_of_the_nearest_ground_point(make_scene, shape, uni
     spec, cap = RasterSpec.covering(Lattice(Fraction(1000)), scene.data), 15_000
     scene.store.create_raster("distance", spec.height, spec.width, 0.0)
     records = [
-        distance_block(scene.store.url, {
-            "name": "distance", "spec": spec.to_json(), "labels": "final", "cap": str(cap),
-            "block": [b.row, b.col, b.height, b.width],
-        })
+        distance_block(
+            scene.store.url,
+            DistanceBlock(name="distance", spec=spec, block=b, rule=FINAL, cap=Fraction(cap)),
+        )
         for b in spec.blocks(512)
-    ]  # fmt: skip
+    ]
     (found,) = [scene.store.read_block("distance", b) for b in spec.blocks(1024)]
     x = (np.arange(spec.width) + spec.west) * 1000 + 500
     y = (spec.north - np.arange(spec.height)) * 1000 - 500

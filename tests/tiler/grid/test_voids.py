@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.tiler.grid.conftest import Scene
+from tests.tiler.grid.conftest import FINAL, Scene
 from tests.tiler.grid.test_block import plane_points
 from tiler.core.lattice import Lattice
 from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.grid import fill_block, find_voids, mask_block, occupancy_block, survey_raster
+from tiler.grid import (
+    FillBlock,
+    MakeSurvey,
+    MaskBlock,
+    PointsBlock,
+    Void,
+    VoidRasters,
+    fill_block,
+    find_voids,
+    mask_block,
+    occupancy_block,
+    survey_raster,
+)
 from tiler.grid.voids import PIECE
 
 SIDE, LIMIT = 240_000, 16_000
 
 
 @pytest.fixture
-def filled(
-    make_scene, monkeypatch: pytest.MonkeyPatch
-) -> tuple[Scene, RasterSpec, dict[str, Any], np.ndarray]:
+def filled(make_scene, monkeypatch: pytest.MonkeyPatch) -> tuple[Scene, RasterSpec, FillBlock, np.ndarray]:
     """A plane with two lakes and a notch, blocks of 40 pixels, its holes filled; and the plane's true heights."""
     monkeypatch.setattr("tiler.grid.voids.PIECE", 40)
     xyz = plane_points(40_000, SIDE)
@@ -34,34 +44,20 @@ def filled(
     scene = make_scene(xyz[~(lakes | notch)])
     spec = scene.grid_into_store("dtm", Fraction(1000), max_edge=str(LIMIT))
     coarse = RasterSpec.covering(Lattice(Fraction(2000)), scene.data)
-    common = {"spec": coarse.to_json(), "labels": "final"}
     for name in ("occupancy", "survey", "voids"):
         scene.store.create_raster(name, coarse.height, coarse.width, 0)
     for b in coarse.blocks(512):
-        occupancy_block(
-            scene.store.url, {**common, "name": "occupancy", "block": [b.row, b.col, b.height, b.width]}
-        )
-    survey_raster(
-        scene.store.url,
-        {
-            **common,
-            "name": "survey",
-            "occupancy": "occupancy",
-            "bridge": LIMIT / 2000,
-            "pixels": spec.to_json(),
-        },
-    )
-    args = {
-        "spec": spec.to_json(), "coarse": coarse.to_json(), "heights": "dtm", "survey": "survey",
-        "numbers": "voids", "labels": "final", "dtm": "dtm", "filled": "filled",
-    }  # fmt: skip
-    record = find_voids(scene.store.url, {**args, "name": "voids"})
-    args["voids"] = [[n + 1, *box] for n, box in enumerate(record["voids"])]
+        occupancy_block(scene.store.url, PointsBlock(name="occupancy", spec=coarse, block=b, rule=FINAL))
+    survey_raster(scene.store.url, MakeSurvey("survey", coarse, "occupancy", LIMIT / 2000, spec))
+    rasters = VoidRasters("dtm", spec, "survey", coarse, "voids")
+    record = find_voids(scene.store.url, rasters)
+    voids = tuple(Void(n + 1, Block(*box)) for n, box in enumerate(record["voids"]))
+    work = FillBlock("filled", Block(0, 0, spec.height, spec.width), rasters, voids)
     for name in ("filled", "mask"):
         scene.store.create_raster(name, spec.height, spec.width, NODATA if name == "filled" else OUTSIDE)
     row, col = np.mgrid[: spec.height, : spec.width]
     truth = 50 + (spec.west + col + 0.5) / 4 - (spec.north - row - 0.5) / 8
-    return scene, spec, args, truth
+    return scene, spec, work, truth
 
 
 def whole(scene: Scene, spec: RasterSpec, name: str) -> np.ndarray:
@@ -69,11 +65,8 @@ def whole(scene: Scene, spec: RasterSpec, name: str) -> np.ndarray:
 
 
 def test_a_plane_comes_back_below_its_lakes(filled) -> None:
-    scene, spec, args, truth = filled
-    (record,) = [
-        fill_block(scene.store.url, {**args, "name": "filled", "block": [b.row, b.col, b.height, b.width]})
-        for b in spec.blocks(512)
-    ]  # fmt: skip
+    scene, spec, work, truth = filled
+    (record,) = [fill_block(scene.store.url, replace(work, block=b)) for b in spec.blocks(512)]
     before, after = whole(scene, spec, "dtm"), whole(scene, spec, "filled")
     had, has = before != np.float32(NODATA), after != np.float32(NODATA)
     assert np.array_equal(before[had], after[had])
@@ -84,34 +77,34 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
     in_notch = (x[None] > 160) & (y[:, None] > 140)
     assert has[in_lake].all()
     assert not has[in_notch].any()
-    mask_block(scene.store.url, {**args, "name": "mask", "block": [0, 0, spec.height, spec.width]})
+    mask_work = MaskBlock(
+        name="mask", spec=spec, block=work.block, rule=FINAL, dtm="dtm", filled="filled", survey="survey",
+        coarse=work.rasters.coarse,
+    )  # fmt: skip
+    mask_block(scene.store.url, mask_work)
     mask = whole(scene, spec, "mask")
     assert (mask[in_lake & ~had] == FILLED).all()
     assert (mask[in_notch] == OUTSIDE).all()
     assert (np.isin(mask, (MEASURED, INTERPOLATED)) == had).all()
     assert (mask != HOLE).all()
-    mask_block(
-        scene.store.url, {**args, "filled": "dtm", "name": "mask", "block": [0, 0, spec.height, spec.width]}
-    )
+    mask_block(scene.store.url, replace(mask_work, filled="dtm"))
     assert np.array_equal(whole(scene, spec, "mask") == HOLE, mask == FILLED)
 
 
 def test_each_hole_is_one_and_blocks_do_not_show(filled, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene, spec, args, _ = filled
-    assert len(args["voids"]) == 2
+    scene, spec, work, _ = filled
+    assert len(work.voids) == 2
     pixels: list[np.ndarray] = []
     monkeypatch.setattr(
         scene.store.__class__, "write_block", lambda self, name, block, values: pixels.append(values)
     )
-    fill_block(scene.store.url, {**args, "name": "filled", "block": [0, 0, spec.height, spec.width]})
+    fill_block(scene.store.url, work)
     (one,) = pixels
     for size, chunk in ((64, PIECE), (101, 33)):
         monkeypatch.setattr("tiler.grid.voids.PIECE", chunk)
         tiled = np.empty_like(one)
         for b in spec.blocks(size):
             pixels.clear()
-            fill_block(
-                scene.store.url, {**args, "name": "filled", "block": [b.row, b.col, b.height, b.width]}
-            )
+            fill_block(scene.store.url, replace(work, block=b))
             tiled[b.row : b.row + b.height, b.col : b.col + b.width] = pixels[0]
         assert tiled.tobytes() == one.tobytes()

@@ -12,7 +12,7 @@ from tiler.core.classes import WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import PointBlock, pack_origin
-from tiler.ingest.assemble import assemble_buckets, bucket_order
+from tiler.ingest.assemble import AssembleBuckets, BucketParts, assemble_buckets, bucket_order
 
 CELL = Cell(2, -1)
 BUCKET, FINE = Lattice(Fraction(90)), Lattice(Fraction(10))
@@ -97,9 +97,8 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
     memory_store.meta.frame, memory_store.meta.bucket, memory_store.meta.fine = FRAME, BUCKET, FINE
     memory_store.pieces["a"] = block_of([[99, 99, 9], [30, 10, 5], [31, 11, 4]], classes=[1, 2, 7])
     memory_store.pieces["b"] = block_of([[30, 10, 5], [32, 12, 3]], source=1, flags=[0, WITHHELD_FLAG])
-    record = assemble_buckets("memory", {
-        "buckets": [[2, -1, [["a", 1, 3], ["b", 0, 2]]]], "keep_classes": [7, 18], "skip_flags": WITHHELD_FLAG,
-    })  # fmt: skip
+    work = AssembleBuckets((BucketParts(Cell(2, -1), (("a", 1, 3), ("b", 0, 2))),), (7, 18))
+    record = assemble_buckets("memory", work)
     assert record == {"buckets": [{
         "cell": [2, -1], "n": 4, "n_candidates": 1, "n_participating": 2, "duplicates": {"within": 0, "between": 1},
         "z_participating": [5, 5], "classes": {"1": 2, "2": 1, "7": 1},
@@ -115,11 +114,13 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
 def test_a_bucket_in_which_nothing_takes_part(memory_store: Any) -> None:
     memory_store.meta.frame, memory_store.meta.bucket, memory_store.meta.fine = FRAME, BUCKET, FINE
     memory_store.pieces["a"] = block_of([[30, 10, 5]], classes=18)
-    (bucket,) = assemble_buckets("memory", {"buckets": [[2, -1, [["a", 0, 1]]]]})["buckets"]
+    (bucket,) = assemble_buckets("memory", AssembleBuckets((BucketParts(Cell(2, -1), (("a", 0, 1),)),)))[
+        "buckets"
+    ]
     assert (bucket["n"], bucket["n_candidates"], bucket["z_participating"]) == (1, 0, None)
 
 
 def test_fragments_without_classes_are_refused(memory_store: Any) -> None:
     memory_store.pieces["a"] = PointBlock(np.zeros((3, 1), np.int32))
     with pytest.raises(ValueError, match="classes and flags"):
-        assemble_buckets("memory", {"buckets": [[0, 0, [["a", 0, 1]]]]})
+        assemble_buckets("memory", AssembleBuckets((BucketParts(Cell(0, 0), (("a", 0, 1),)),)))

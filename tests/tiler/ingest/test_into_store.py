@@ -15,8 +15,18 @@ import pytest
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT
+from tiler.export import WriteClassified
 from tiler.export.classified import write_classified
-from tiler.ingest import assemble_buckets, find_inputs, inspect, pieces, spool_piece
+from tiler.ingest import (
+    AssembleBuckets,
+    BucketParts,
+    SpoolPiece,
+    assemble_buckets,
+    find_inputs,
+    inspect,
+    pieces,
+    spool_piece,
+)
 from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
 
 FRAME = CoordFrame(origin=(500_000_000, 5_400_000_000))
@@ -31,14 +41,14 @@ def ingest(
     for source, path in enumerate(paths):
         for number, (start, count) in enumerate(pieces(inspect(path), size)):
             piece = f"s{source:06d}p{number:06d}"
-            record = spool_piece(url, {"path": str(path), "source": source, "piece": piece, "start": start,
-                                       "count": count, "wanted": wanted})  # fmt: skip
+            record = spool_piece(url, SpoolPiece(str(path), source, piece, start, count, wanted))
             spooled.append(record)
             stops = list(itertools.accumulate(n for _, _, n in record["buckets"]))
             for (ix, iy, n), stop in zip(record["buckets"], stops, strict=True):
-                fragments[ix, iy].append([piece, stop - n, stop])
+                fragments[ix, iy].append((piece, stop - n, stop))
     store.allocate({Cell(*c): sum(b - a for _, a, b in f) for c, f in fragments.items()})
-    made = assemble_buckets(url, {"buckets": [[*c, f] for c, f in sorted(fragments.items())]})["buckets"]
+    parts = tuple(BucketParts(Cell(*c), tuple(f)) for c, f in sorted(fragments.items()))
+    made = assemble_buckets(url, AssembleBuckets(parts))["buckets"]
     store.publish_index({Cell(*r["cell"]): BucketInfo(r["n"], r["n_candidates"]) for r in made})
     return store, spooled, made
 
@@ -96,11 +106,11 @@ def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: P
         for source in (0, 1):
             stored[source] |= set(rows[origin >> SOURCE_SHIFT == source].tolist())
     assert 0 < sum(r["dropped"].get("outside the area", 0) for r in spooled) == 2000 - sum(map(len, stored))
-    cells = [[c.ix, c.iy] for c in store.buckets()]
+    cells = tuple(store.buckets())
     for source, path in enumerate(paths):
         out = tmp_path / "out" / f"{source}.laz"
         write_classified(
-            url, {"path": str(path), "source": source, "out": str(out), "labels": "final", "cells": cells}
+            url, WriteClassified(path=str(path), source=source, out=str(out), labels="final", cells=cells)
         )
         before, after = laspy.read(path), laspy.read(out)
         expected = np.asarray(before.classification).copy()
@@ -123,6 +133,6 @@ def test_odd_clouds_through_the_store(shared_data: Path, tmp_path: Path) -> None
             True,
         ),
     )
-    record = spool_piece(store.url, {"path": str(path), "source": 0, "piece": "p", "start": 0, "count": 1065})
+    record = spool_piece(store.url, SpoolPiece(str(path), 0, "p", 0, 1065))
     assert record["stored"] == 1065
     assert sum(n for _, _, n in store.piece_index("p")) == 1065

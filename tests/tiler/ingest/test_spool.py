@@ -14,17 +14,19 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.points import PointBlock, unpack_origin
 from tiler.ingest.sources import inspect, pieces
-from tiler.ingest.spool import BEYOND_FRAME, OUTSIDE_AREA, sort_by_bucket, spool_piece
+from tiler.ingest.spool import BEYOND_FRAME, OUTSIDE_AREA, SpoolPiece, sort_by_bucket, spool_piece
 
 ORIGIN = (500_000_000, 5_400_000_000)
 
 
-def spool(store: Any, path: Any, source: int = 0, size: int = 10**6, **args: Any) -> list[dict[str, Any]]:
+def spool(store: Any, path: Any, source: int = 0, size: int = 10**6, **options: Any) -> list[dict[str, Any]]:
     return [
-        spool_piece("memory", {"path": str(path), "source": source, "piece": f"s{source}p{k}", "start": start,
-                               "count": count, "identity": "of k", **args})
+        spool_piece(
+            "memory",
+            SpoolPiece(str(path), source, f"s{source}p{k}", start, count, identity="of k", **options),
+        )
         for k, (start, count) in enumerate(pieces(inspect(path), size))
-    ]  # fmt: skip
+    ]
 
 
 def gathered(store: Any) -> PointBlock:

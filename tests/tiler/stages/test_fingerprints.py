@@ -50,7 +50,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     read = fingerprints.read_files
 
     def count(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        found.append(len(arguments["files"]))
+        found.append(len(arguments.files))
         return read(store_url, arguments)
 
     monkeypatch.setattr(fingerprints, "read_files", count)

@@ -1,0 +1,148 @@
+"""What the tasks that write files are to do: one frozen dataclass for each kind of file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.raster import RasterSpec
+from tiler.schedule import NOT_IN_DIGEST
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProductFile:
+    """A file of a product.
+
+    Attributes
+    ----------
+    product : str
+        Key of `tiler.core.products.PRODUCTS`, for the type and looks.
+    out : str
+        Folder that exists, or a URL.
+    tags : mapping of str to str
+        The provenance (TILER_VERSION, TILER_METHOD, TILER_PARAMETERS, TILER_INPUTS).
+    nodata : float or None
+        Of the file; None: that of the store.
+    """
+
+    product: str
+    out: str
+    tags: Mapping[str, str]
+    nodata: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteCog(ProductFile):
+    """A raster of the store, or a sheet of it, as one file.
+
+    Attributes
+    ----------
+    name : str
+        Of the file, without its ending.
+    raster : str
+        In the store.
+    spec : RasterSpec
+        Of the file.
+    compress : str
+        ``deflate`` or ``zstd``.
+    fill : float
+        Value beyond raster and area.
+    whole : RasterSpec or None
+        Of the raster in the store, where ``spec`` is that of a sheet.
+    area : str or None
+        Key in the store of the area that is wanted.
+    """
+
+    name: str
+    raster: str
+    spec: RasterSpec
+    compress: str
+    fill: float
+    whole: RasterSpec | None = None
+    area: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteMosaic(ProductFile):
+    """``sheets``: paths relative to ``out`` and their pixels, all on one lattice; at least one."""
+
+    sheets: tuple[tuple[str, RasterSpec], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnFile:
+    """A file of vectors that follows from the terrain.
+
+    Attributes
+    ----------
+    raster : str
+        Of heights in the store.
+    spec : RasterSpec
+    out : str
+        Folder that exists, or a URL.
+    interval : Fraction or None
+        Of contours, in vertical units of the CRS; None: by the relief.
+    area : str or None
+        Key in the store of the area that is wanted.
+    """
+
+    raster: str
+    spec: RasterSpec
+    out: str
+    interval: Fraction | None
+    area: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteContours(DrawnFile):
+    """``sigma``: pixels, of the Gaussian that smooths the heights beforehand."""
+
+    sigma: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteSpots(DrawnFile):
+    """``reach``: pixels around a spot in which nothing is higher, or lower."""
+
+    reach: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class WriteClassified:
+    """A source again, with its new classes.
+
+    Attributes
+    ----------
+    path : str
+        Of the source, or its URL.
+    source : int
+        Its number in the store.
+    out : str
+        The final name, a path or a URL.
+    labels : str
+        Name of the final labels in the store.
+    cells : tuple of Cell
+        The buckets that hold points of it.
+    salvage : bool
+    area, edits : str or None
+        Keys in the store of the area and of corrections.
+    stamp : list or None
+        Of the source, as the plan found it: a file that was touched has the bytes that it had.
+    """
+
+    path: str
+    source: int
+    out: str
+    labels: str
+    cells: tuple[Cell, ...]
+    salvage: bool = False
+    area: str | None = None
+    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
+
+    def place(self, buckets: Lattice) -> Bounds | None:
+        """The buckets."""
+        return buckets.hull(self.cells) if self.cells else None
