@@ -31,7 +31,7 @@ from tests.ptd.medians import (
     SpreadPass,
 )
 from tiler.errors import ConfigError, ProcessingError
-from tiler.filter.reading import Reader
+from tiler.filter.reading import TileReader
 from tiler.plan import make_plan, plan_lines, sizes
 from tiler.store import TileStore, layout
 
@@ -144,13 +144,13 @@ def test_tiles_that_are_done_twice(
 
 def test_each_bucket_is_read_about_once(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[Any] = []
-    before = Reader._read
+    before = TileReader._read
 
-    def counted(self: Reader, cell: Any) -> Any:
+    def counted(self: TileReader, cell: Any) -> Any:
         read.append(cell)
         return before(self, cell)
 
-    monkeypatch.setattr(Reader, "_read", counted)
+    monkeypatch.setattr(TileReader, "_read", counted)
     filtered(file, tmp_path / "out", tile_size="512")
     buckets = len(the_store(tmp_path / "out").buckets())
     assert buckets == 9

@@ -10,10 +10,10 @@ import pytest
 from pyproj import CRS
 
 from tiler.config import RunConfig
+from tiler.core.crs import same_horizontal
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
 from tiler.errors import ConfigError, InputError
 from tiler.ingest.common_crs import agree
-from tiler.ingest.georeference import same_horizontal
 from tiler.ingest.sources import SourceInfo, inspect
 
 
