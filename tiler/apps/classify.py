@@ -13,6 +13,7 @@ from tiler.export import WriteClassified, write_classified
 from tiler.filter import LABELS
 from tiler.ingest import inspect, inspect_guarded, read_guarded
 from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.result_folder import STORE
 from tiler.observe.events import Listener, silent
 from tiler.pipeline import run
 from tiler.plan import KEEP
@@ -78,7 +79,7 @@ def _classify(
         raise ConfigError(f"{target}: its folder cannot be made ({error.strerror}); name another") from error
     with TemporaryDirectory(prefix=".tiler-", dir=target.parent) as scratch:
         summary = run([str(source)], scratch, config.updated(store=None), listener, until="filter").summary
-        store = open_store(str(Path(scratch) / "store.zarr"))
+        store = open_store(str(Path(scratch) / STORE))
         work = WriteClassified(
             path=str(source), source=0, out=str(target), labels=LABELS, cells=tuple(store.buckets()),
             salvage=config.salvage, stamp=info.stamp,

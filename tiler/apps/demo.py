@@ -11,9 +11,10 @@ from typing import Any
 from tiler.apps.evaluate import Scene, evaluate_dtm, evaluate_scenes
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, refused_write
+from tiler.io.result_folder import CLASSIFIED, EVALUATION
 from tiler.observe.events import Listener
 from tiler.pipeline import run
-from tiler.report.accuracy import EVALUATION, write_measured
+from tiler.report.accuracy import write_measured
 from tiler.report.html import write_report
 from tiler.simulate import DemoScene, demo_city, demo_files
 
@@ -98,6 +99,6 @@ def _refuse_foreign_files(out: Path, config: RunConfig) -> None:
 def _score_classes(out: Path, scene: DemoScene) -> dict[str, Any]:
     """The errors over all clouds together, and of each."""
     return evaluate_scenes([
-        Scene(path.stem, out / "classified" / path.name, truth)
+        Scene(path.stem, out / CLASSIFIED / path.name, truth)
         for path, truth in zip(scene.paths, scene.truth_paths, strict=True)
     ])  # fmt: skip

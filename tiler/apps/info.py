@@ -12,6 +12,7 @@ import numpy.typing as npt
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
 from tiler.io.json_text import read_object
+from tiler.io.result_folder import RUN, STORE
 
 if TYPE_CHECKING:
     from tiler.store import TileStore
@@ -74,7 +75,7 @@ def describe(path: str) -> dict[str, Any]:
 def _describe_folder(folder: Path) -> dict[str, Any]:
     if (folder / "zarr.json").is_file():
         return describe_store(str(folder))
-    if (folder / "run.json").is_file():
+    if (folder / RUN).is_file():
         return describe_result(folder)
     clouds = any(path.suffix.lower() in _CLOUDS for path in folder.iterdir())
     raise InputError(
@@ -212,21 +213,17 @@ def _commits(store: TileStore) -> dict[str, Any]:
 def describe_result(folder: Path) -> dict[str, Any]:
     """Facts of the OUT of a run: its run.json, and its store where it is still there."""
     try:
-        run = read_object((folder / "run.json").read_text("utf-8"))
+        run = read_object((folder / RUN).read_text("utf-8"))
     except OSError as error:
-        raise InputError(
-            f"{folder / 'run.json'}: cannot be read ({error.strerror}); see to its rights"
-        ) from error
+        raise InputError(f"{folder / RUN}: cannot be read ({error.strerror}); see to its rights") from error
     except ValueError as error:
-        raise InputError(
-            f"{folder / 'run.json'}: not valid JSON ({error}); run the same command again"
-        ) from error
+        raise InputError(f"{folder / RUN}: not valid JSON ({error}); run the same command again") from error
     facts: dict[str, Any] = {
         "kind": "result",
         "path": str(folder),
         **{name: run.get(name) for name in _RUN_FACTS},
     }
-    store = folder / "store.zarr"
+    store = folder / STORE
     if store.is_dir():
         try:
             facts["store"] = describe_store(str(store))

@@ -20,6 +20,7 @@ from tiler.grid.shape import gradients, multidirectional_hillshade
 from tiler.ingest import SourceInfo, read_guarded
 from tiler.io.las.extract import Box, cut_windows, sample_places
 from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.result_folder import STORE
 from tiler.observe.events import Listener, silent
 from tiler.pipeline import run
 from tiler.plan import Plan, make_plan
@@ -217,7 +218,7 @@ def _window(
     """Surface and terrain of a window, shaded, and what was found in it."""
     out = Path(paths[0]).with_suffix("")
     summary = run(paths, out, config, listener, until="grid").summary
-    store = open_store(str(out / "store.zarr"))
+    store = open_store(str(out / STORE))
     ground = summary["filter"]["ground"] if "filter" in summary else summary["counts"]["participating"]
     failed = summary["failed_tasks"]
     for task in failed:

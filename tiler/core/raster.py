@@ -14,6 +14,9 @@ from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Cell, Lattice, row_by_row
 from tiler.core.products import NODATA as NODATA  # here for those that deal with rasters
 
+BLOCK_PIXELS = 512
+"""Side of a block of a raster: what one task makes, a chunk in the store, and a tile in the files."""
+
 
 @dataclass(frozen=True)
 class Block:

@@ -21,10 +21,10 @@ import rasterio.shutil
 
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.products import HEIGHT, PRODUCTS, Product
-from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
-from tiler.export.geotiff import CACHE_MB, TILE, RasterLook, plain_geotiff, raster_errors
+from tiler.export.geotiff import CACHE_MB, RasterLook, plain_geotiff, raster_errors
 from tiler.export.work import ProductFile, WriteCog
 from tiler.io.locations import cloud_path, digest_of_file, folder_for, joined, partial_path, state_of
 from tiler.store import TileStore, open_store
@@ -131,7 +131,7 @@ def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
     spec, statistics, nodata = work.spec, Statistics(), PRODUCTS[work.product].nodata
     look, area = raster_look(store.meta.frame, work), store.area(work.area)
     with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
-        for block in spec.blocks(TILE):
+        for block in spec.blocks(BLOCK_PIXELS):
             values = _read(store, work, block)
             if area is not None:
                 values = np.where(spec.inside(block, area), values, np.float32(work.fill))
@@ -173,8 +173,8 @@ def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) ->
     """Let GDAL order, compress and build overviews, in one thread and bounded memory."""
     options = {
         "COMPRESS": compress.upper(), "PREDICTOR": product.predictor, "OVERVIEW_PREDICTOR": product.predictor,
-        "BLOCKSIZE": TILE, "OVERVIEW_RESAMPLING": product.resampling, "OVERVIEWS": "AUTO", "BIGTIFF": "IF_SAFER",
-        "NUM_THREADS": 1, "STATISTICS": "AUTO",  # AUTO: those that are there
+        "BLOCKSIZE": BLOCK_PIXELS, "OVERVIEW_RESAMPLING": product.resampling, "OVERVIEWS": "AUTO",
+        "BIGTIFF": "IF_SAFER", "NUM_THREADS": 1, "STATISTICS": "AUTO",  # AUTO: those that are there
     }  # fmt: skip
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, GDAL_NUM_THREADS=1), raster_errors(partial):
         partial.unlink(missing_ok=True)
@@ -185,7 +185,8 @@ def _check(partial: Path, spec: RasterSpec) -> None:
     """Read the last block, which ends the file: GDAL may notice a full disk only when it closes, and say nothing."""
     from rasterio.windows import Window
 
-    last = spec.block_at((spec.height - 1) // TILE * TILE, (spec.width - 1) // TILE * TILE, TILE)
+    row, col = ((side - 1) // BLOCK_PIXELS * BLOCK_PIXELS for side in (spec.height, spec.width))
+    last = spec.block_at(row, col, BLOCK_PIXELS)
     with raster_errors(partial), rasterio.open(partial) as raster:
         if raster.shape != (spec.height, spec.width):
             raise ProcessingError(f"{partial}: {raster.shape} pixels instead of {(spec.height, spec.width)}")

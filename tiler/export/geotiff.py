@@ -17,11 +17,8 @@ from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from tiler.core.raster import NODATA
+from tiler.core.raster import BLOCK_PIXELS, NODATA
 from tiler.errors import refused_write
-
-TILE = 512
-"""Side of a tile inside of the file, pixels; of the store's raster chunks, too."""
 
 CACHE_MB = 64
 """Bound of GDAL's block cache, whose default is a share of the machine's memory."""
@@ -100,7 +97,7 @@ def plain_geotiff(
     profile = {
         "driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": look.dtype, "nodata": look.nodata,
         "crs": None if look.crs is None else CRS.from_user_input(look.crs), "transform": Affine(*transform),
-        "tiled": True, "blockxsize": TILE, "blockysize": TILE, "BIGTIFF": "IF_SAFER", "SPARSE_OK": True,
+        "tiled": True, "blockxsize": BLOCK_PIXELS, "blockysize": BLOCK_PIXELS, "BIGTIFF": "IF_SAFER", "SPARSE_OK": True,
     }  # fmt: skip
     if look.colours:
         profile["photometric"] = "palette"

@@ -13,10 +13,10 @@ from rasterio.io import MemoryFile
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
-from tiler.core.raster import RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.export.cog import raster_look
-from tiler.export.geotiff import TILE, RasterLook, raster_errors
+from tiler.export.geotiff import RasterLook, raster_errors
 from tiler.export.work import WriteMosaic
 from tiler.io.locations import appearing, cloud_path, digest_of_file, folder_for, joined, state_of
 from tiler.store import open_store
@@ -108,8 +108,8 @@ def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: Ra
     ElementTree.SubElement(source, "SourceBand").text = "1"
     wide, high = str(spec.width), str(spec.height)
     ElementTree.SubElement(
-        source, "SourceProperties", RasterXSize=wide, RasterYSize=high, DataType=kind, BlockXSize=str(TILE),
-        BlockYSize=str(TILE),
+        source, "SourceProperties", RasterXSize=wide, RasterYSize=high, DataType=kind, BlockXSize=str(BLOCK_PIXELS),
+        BlockYSize=str(BLOCK_PIXELS),
     )  # fmt: skip
     ElementTree.SubElement(source, "SrcRect", xOff="0", yOff="0", xSize=wide, ySize=high)
     ElementTree.SubElement(

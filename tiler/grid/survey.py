@@ -16,14 +16,12 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from tiler.core.lattice import Bounds
-from tiler.core.raster import Block, RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import surface_points
 from tiler.grid.work import MakeSurvey, PointsBlock
 from tiler.store import TileStore, open_store
-
-CHUNK = 512
 
 Bools = npt.NDArray[np.bool_]
 Runs = list[list[int]]
@@ -73,12 +71,12 @@ def survey_raster(store_url: str, work: MakeSurvey) -> dict[str, Any]:
     occupied = store.read_block(work.occupancy, Block(0, 0, spec.height, spec.width)) > 0
     found = survey_of(occupied, work.bridge)
     inside = found.astype(np.float32)
-    for b in spec.blocks(CHUNK):
+    for b in spec.blocks(BLOCK_PIXELS):
         store.write_block(work.name, b, inside[b.row : b.row + b.height, b.col : b.col + b.width])
     return {
         "inside": int(inside.sum()),
         "cells": inside.size,
-        "blocks": block_runs(found, spec, work.pixels, CHUNK),
+        "blocks": block_runs(found, spec, work.pixels, BLOCK_PIXELS),
         "checksum": checksum(inside),
     }
 

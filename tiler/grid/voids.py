@@ -14,16 +14,16 @@ from scipy import ndimage
 
 from ptd.tin import Tin, rasterise
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.grid.block import edit_heights, heights_in_units, pixels_of
 from tiler.grid.checksum import checksum
-from tiler.grid.survey import CHUNK, Bools, block_runs, blocks_of, coarse_cells, coarse_values, covered
+from tiler.grid.survey import Bools, block_runs, blocks_of, coarse_cells, coarse_values, covered
 from tiler.grid.work import FillBlock, Void, VoidRasters
 from tiler.store import TileStore, open_store
 
 Int32 = npt.NDArray[np.int32]
 
-PIECE = 512
+PIECE = BLOCK_PIXELS
 """Pixels a side that are looked at at a time."""
 
 NEAR = 2
@@ -59,7 +59,7 @@ def find_voids(store_url: str, work: VoidRasters) -> dict[str, Any]:
             empty[cell_rows[rows], cell_cols[cols]] = True
     numbers, _ = ndimage.label(empty, AROUND)
     values = numbers.astype(np.float32)
-    for b in coarse.blocks(CHUNK):
+    for b in coarse.blocks(BLOCK_PIXELS):
         store.write_block(work.numbers, b, values[b.row : b.row + b.height, b.col : b.col + b.width])
     boxes, blocks = [], []
     for number, (down, right) in enumerate(ndimage.find_objects(numbers), start=1):

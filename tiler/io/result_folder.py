@@ -20,6 +20,8 @@ STORE = "store.zarr"
 """Folder of the tile store, unless the user names another place."""
 CLASSIFIED = "classified"
 """Folder of the classified clouds."""
+CHECK, EVALUATION = "check.json", "evaluate.json"
+"""What `tiler check` and `tiler evaluate` found, for the report."""
 ASIDE = "outdated"
 """Folder of what earlier runs made and later ones did not replace."""
 

@@ -8,14 +8,13 @@
 from tiler.plan.disk import too_much_between
 from tiler.plan.make import make_plan, output_names
 from tiler.plan.memory import PlannedPass
-from tiler.plan.model import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
+from tiler.plan.model import KEEP, PIECE_POINTS, Plan
 from tiler.plan.rates import remember
 from tiler.plan.refuse import refuse
 from tiler.plan.sizes import bounds_of
 from tiler.plan.words import crs_name, plan_json, plan_lines
 
 __all__ = [
-    "GRID_BLOCK",
     "KEEP",
     "PIECE_POINTS",
     "Plan",

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiler.core.products import PRODUCTS
-from tiler.plan.model import GRID_BLOCK, KEEP, Plan
+from tiler.core.raster import BLOCK_PIXELS
+from tiler.plan.model import KEEP, Plan
 
 SPOOL_BYTES, COLUMN_BYTES = 12, 12
 """Per point on disk, in the spool, and in its bucket with its label; measured on a city."""
@@ -45,7 +46,7 @@ def pixels_of(plan: Plan) -> Pixels:
     def near(side_m: float) -> float:
         return plan.crowd.squares(side_m, corners[:2], corners[2:]) * (side_m / resolution) ** 2
 
-    filled = min(near(GRID_BLOCK * resolution) or whole, whole)
+    filled = min(near(BLOCK_PIXELS * resolution) or whole, whole)
     if plan.config.sheets is None:
         return Pixels(filled, whole - filled, whole)
     side = float(plan.config.sheets)

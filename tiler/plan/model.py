@@ -33,7 +33,6 @@ from tiler.store import StoreMeta
 KEEP = "keep"
 """The method that trusts the classes of the input."""
 
-GRID_BLOCK = 512
 MAX_HALO_FACTOR = 4
 PIECE_POINTS = 1_000_000
 MAX_GROUND = 4_000_000

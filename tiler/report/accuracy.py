@@ -10,10 +10,10 @@ from typing import Any
 
 from tiler.errors import refused_write
 from tiler.io.json_text import read_object
+from tiler.io.result_folder import CHECK, EVALUATION
 from tiler.redaction import shown
 from tiler.report.document import Content, Node, el, facts, table
 
-CHECK, EVALUATION = "check.json", "evaluate.json"
 """Names in OUT under which ``--json`` of `tiler check` and `tiler evaluate` are looked for."""
 
 FIGURES = {"points": "points", "rmse_v": "RMSEV", "bias": "mean", "median": "median", "nmad": "NMAD",

@@ -14,7 +14,7 @@ from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, refused_write
 from tiler.io.json_text import read_object
 from tiler.io.locations import joined, partial_path, state_at
-from tiler.io.result_folder import REPORT
+from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import Node, el, section
 from tiler.report.drawn import drawn
@@ -51,7 +51,7 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
         page = _page(out, content, products or content.get("products_at") or str(out))
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError, IndexError) as error:
         raise InputError(
-            f"{out / 'run.json'}: not what this version of tiler writes ({type(error).__name__}: {error}); run again"
+            f"{out / RUN}: not what this version of tiler writes ({type(error).__name__}: {error}); run again"
         ) from error
     except (RasterioError, OSError) as error:
         raise ProcessingError(
@@ -73,7 +73,7 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
 
 
 def _read_run(out: Path) -> dict[str, Any]:
-    path = out / "run.json"
+    path = out / RUN
     try:
         return read_object(path.read_text("utf-8"))
     except OSError as error:
@@ -87,8 +87,8 @@ def _read_run(out: Path) -> dict[str, Any]:
 def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     run = with_earlier_times(run, out)
     pictures = draw(_rasters(products, run), run)
-    check = accuracy.read_measured(out, accuracy.CHECK)
-    evaluation = accuracy.read_measured(out, accuracy.EVALUATION)
+    check = accuracy.read_measured(out, CHECK)
+    evaluation = accuracy.read_measured(out, EVALUATION)
     title = f"Terrain of {out.resolve().name}"
     parts = [
         sections.problems(run),

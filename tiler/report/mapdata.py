@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.io.json_text import read_object
+from tiler.io.result_folder import EVENTS
 from tiler.redaction import shown
 from tiler.report.accuracy import checkpoints_on_map
 from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
@@ -17,7 +18,6 @@ MOST_TILES = 20_000
 MOST_FILES = 5_000
 TIME_COLOURS = 16
 
-EVENTS = "events.jsonl"
 
 Extent = tuple[float, float, float, float]
 

@@ -27,7 +27,7 @@ def write_run_file(out: Path, content: dict[str, Any]) -> None:
     except OSError as error:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
-        raise refused_write(f"{out}/run.json", error, out) from error
+        raise refused_write(f"{out}/{RUN}", error, out) from error
 
 
 def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,8 @@ import laspy
 import numpy as np
 import pyproj
 
-from tiler.export.geotiff import TILE, RasterLook, plain_geotiff
+from tiler.core.raster import BLOCK_PIXELS
+from tiler.export.geotiff import RasterLook, plain_geotiff
 from tiler.simulate.points import Points, UInt8s
 from tiler.simulate.site import Site
 
@@ -91,8 +92,8 @@ def write_dtm(path: Path, site: Site, pixel_m: float) -> None:
     transform = (pixel_m, 0.0, ORIGIN[0], 0.0, -pixel_m, ORIGIN[1] + top)
     look = RasterLook(CRS, "metre", "true terrain height", {})
     with plain_geotiff(path, pixels, pixels, transform, look) as raster:
-        for row in range(0, pixels, TILE):
-            y = top - (np.arange(row, min(row + TILE, pixels)) + 0.5) * pixel_m
-            for column in range(0, pixels, TILE):
-                heights = site.terrain.height_at(x[None, column : column + TILE], y[:, None])
+        for row in range(0, pixels, BLOCK_PIXELS):
+            y = top - (np.arange(row, min(row + BLOCK_PIXELS, pixels)) + 0.5) * pixel_m
+            for column in range(0, pixels, BLOCK_PIXELS):
+                heights = site.terrain.height_at(x[None, column : column + BLOCK_PIXELS], y[:, None])
                 raster.write(heights.astype(np.float32), row, column)

@@ -12,10 +12,10 @@ from typing import Any
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.products import NODATA, PRODUCTS
-from tiler.core.raster import RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.export import WriteCog, WriteMosaic, write_cog, write_mosaic
 from tiler.io.locations import joined
-from tiler.plan import GRID_BLOCK, Plan
+from tiler.plan import Plan
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.raster_table import final, raster_table
@@ -76,7 +76,7 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
             continue
         for sheet, read in cut:
             spec = sheet.spec
-            near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), GRID_BLOCK)
+            near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS)
             seen = [[b.name, g.made[raster][b.name][1]["checksum"]] for b in near if b.name in g.made[raster]]
             work = replace(
                 whole, name=f"{name}_{sheet.place}", out=joined(out, name), spec=spec, whole=g.spec,

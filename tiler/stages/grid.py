@@ -14,10 +14,10 @@ from ptd.precompile import warm_gridding
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.products import MASK_VALUES, OUTSIDE
-from tiler.core.raster import RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
-from tiler.plan import GRID_BLOCK, KEEP
+from tiler.plan import KEEP
 from tiler.plan.advice import roofs_in_terrain
 from tiler.runs.job import Job
 from tiler.runs.worker import compute
@@ -91,7 +91,7 @@ def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task]) -> Comm
     job.take_back(stage, stale)
     job.store.create_raster(name, spec.height, spec.width, raster.fill)
     if WHOLE not in done:
-        stored = {spec.block_at(*place, GRID_BLOCK).name for place in job.store.stored_blocks(name)}
+        stored = {spec.block_at(*place, BLOCK_PIXELS).name for place in job.store.stored_blocks(name)}
         lost = {key for key, (_, record) in done.items() if record.get("filled")} - stored
         if lost:
             job.note(f"{len(lost)} blocks of {name} are gone from the store; they are made again")
@@ -107,7 +107,7 @@ def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task]) -> Comm
 
 def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None:
     """Have the workers remove blocks that an earlier run wrote: this one may not write them again."""
-    blocks, tasks = [spec.block_named(key, GRID_BLOCK) for key in sorted(keys)], []
+    blocks, tasks = [spec.block_named(key, BLOCK_PIXELS) for key in sorted(keys)], []
     for start in range(0, len(blocks), BLANK_BLOCKS):
         work = BlankBlocks(name, tuple(blocks[start : start + BLANK_BLOCKS]))
         digest = digest_of(work)
@@ -124,7 +124,9 @@ def _advise(job: Job, spec: RasterSpec, made: Commits) -> None:
         return
     found = job.store.get_state("advice")
     if job.stages["grid-dtm"]["computed"] or not found or found["building_m"] != building:
-        filled = (spec.block_named(key, GRID_BLOCK) for key, (_, record) in made.items() if record["filled"])
+        filled = (
+            spec.block_named(key, BLOCK_PIXELS) for key, (_, record) in made.items() if record["filled"]
+        )
         text = roofs_in_terrain(job.store, "dtm", spec, filled, building)
         found = {"building_m": building, "texts": [] if text is None else [text]}
         job.store.put_state("advice", found)

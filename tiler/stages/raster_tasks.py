@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 
 from tiler.core.lattice import Bounds, Cell
-from tiler.core.raster import Block, RasterSpec, north_west
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.grid import (
     DeriveBlock,
     DistanceBlock,
@@ -22,7 +22,6 @@ from tiler.grid import (
     full_halo,
     reach_pixels,
 )
-from tiler.plan import GRID_BLOCK
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding, Raster
 from tiler.stages.tasks import area_key, grid_tasks, ground_rule
@@ -35,7 +34,7 @@ WHOLE = "whole"
 
 def _near(g: Gridding, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
     """Blocks within ``reach`` counts of buckets, each with these."""
-    return spec.blocks_near(g.plan.meta.bucket, g.labels, GRID_BLOCK, reach)
+    return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, reach)
 
 
 def terrain_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
@@ -126,7 +125,7 @@ def fill_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     voids_of: dict[str, list[int]] = defaultdict(list)
     rims: list[str] = []
     for number, runs in enumerate(found[WHOLE][1]["blocks"] if WHOLE in found else []):
-        near = [block.name for block in blocks_of(runs, spec, GRID_BLOCK)]
+        near = [block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)]
         for key in near:
             voids_of[key].append(number)
         rims.append(
@@ -136,7 +135,7 @@ def fill_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     for key in sorted(voids_of.keys() | g.made[model].keys()):
         mine = voids_of.get(key, [])
         own = g.made[model][key][1]["checksum"] if key in g.made[model] else None
-        block = spec.block_named(key, GRID_BLOCK)
+        block = spec.block_named(key, BLOCK_PIXELS)
         work = FillBlock(raster.name, block, rasters, tuple(Void(n + 1, Block(*boxes[n])) for n in mine))
         seen = [own, surveyed, [numbers, *(rims[n] for n in mine)] if mine else []]
         digest = digest_of(__version__, work, seen)
@@ -151,10 +150,10 @@ def mask_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     near = _near(g, spec, math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion)))
     holes: dict[Block, list[Bounds]] = defaultdict(list)
     for hole in g.holes:
-        for block in spec.blocks_within(hole, GRID_BLOCK):
+        for block in spec.blocks_within(hole, BLOCK_PIXELS):
             holes[block].append(hole)
-    inside = blocks_of(g.made[survey][WHOLE][1]["blocks"], spec, GRID_BLOCK)
-    made = (spec.block_named(key, GRID_BLOCK) for name in (dtm, heights) for key in g.made[name])
+    inside = blocks_of(g.made[survey][WHOLE][1]["blocks"], spec, BLOCK_PIXELS)
+    made = (spec.block_named(key, BLOCK_PIXELS) for name in (dtm, heights) for key in g.made[name])
     for block in sorted({*near, *holes, *inside, *made}, key=north_west):
         work = MaskBlock(
             name=raster.name, spec=spec, block=block, rule=rule, dtm=dtm, filled=heights, survey=survey,
@@ -172,7 +171,7 @@ def derived_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block that all inputs have; its pixels see one pixel of the blocks around."""
     spec = g.spec
     keys = set.intersection(*(set(g.made[source]) for source in raster.inputs))
-    for block in sorted((spec.block_named(key, GRID_BLOCK) for key in keys), key=north_west):
+    for block in sorted((spec.block_named(key, BLOCK_PIXELS) for key in keys), key=north_west):
         work = DeriveBlock(name=raster.name, spec=spec, block=block, sources=raster.inputs, fill=raster.fill)
         digest = digest_of(__version__, work, [_around(g.made[source], block) for source in raster.inputs])
         yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
@@ -187,7 +186,7 @@ def _around(commits: Commits, block: Block) -> list[list[str]]:
     """Checksums of a block and of its eight neighbours."""
     near = [
         Block(block.row + down, block.col + right, 0, 0).name
-        for down in (-GRID_BLOCK, 0, GRID_BLOCK)
-        for right in (-GRID_BLOCK, 0, GRID_BLOCK)
+        for down in (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
+        for right in (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
     ]
     return [[key, commits[key][1]["checksum"]] for key in near if key in commits]

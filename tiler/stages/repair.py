@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from tiler.core.raster import Block
-from tiler.plan import GRID_BLOCK
+from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.runs.job import Job
 from tiler.stages.raster_tasks import WHOLE
 
@@ -72,5 +71,5 @@ def _take_back_bucket(job: Job, kind: str, row: int) -> None:
 
 def _take_back_block(job: Job, name: str, row: int, col: int) -> None:
     """The task that wrote a chunk of a raster: its block's, or that of the whole."""
-    block = Block(row * GRID_BLOCK, col * GRID_BLOCK, GRID_BLOCK, GRID_BLOCK)
+    block = Block(row * BLOCK_PIXELS, col * BLOCK_PIXELS, BLOCK_PIXELS, BLOCK_PIXELS)
     job.take_back(f"grid-{name}", [block.name, WHOLE])

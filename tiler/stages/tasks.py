@@ -18,7 +18,7 @@ from ptd.methods import METHODS
 from ptd.passes import Pass, later_passes
 from tiler.core.classes import GROUND, OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.raster import RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.export import WriteClassified, write_classified
 from tiler.filter import LABELS, FilterTile, filter_tile, sight_m
 from tiler.grid import GridBlock, GroundRule, full_halo, grid_block
@@ -35,7 +35,8 @@ from tiler.ingest import (
     spool_piece,
 )
 from tiler.io.locations import joined, location
-from tiler.plan import GRID_BLOCK, KEEP, PIECE_POINTS, Plan
+from tiler.io.result_folder import CLASSIFIED
+from tiler.plan import KEEP, PIECE_POINTS, Plan
 from tiler.plan.filter_tiles import tiles_of
 from tiler.plan.memory import held_bytes
 from tiler.schedule import Task, digest_of
@@ -331,7 +332,7 @@ def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], nam
     thin = None if share is None else Lattice(frame.counts(plan.resolution / share))
     rule, data, halo = ground_rule(plan), assembled.bounds, math.ceil(frame.counts(plan.grid_halo))
     reach = full_halo(max_edge) + math.ceil(frame.counts(plan.config.erosion))
-    for block, near in spec.blocks_near(plan.meta.bucket, labels, GRID_BLOCK, reach).items():
+    for block, near in spec.blocks_near(plan.meta.bucket, labels, BLOCK_PIXELS, reach).items():
         work = GridBlock(
             name=name, spec=spec, block=block, rule=rule, data=data, max_edge=max_edge,
             halo=halo, max_halo=full_halo(max_edge), interpolation=plan.config.interpolation,
@@ -358,7 +359,7 @@ def classified_tasks(
         whole = plan.area is None or (extent is not None and plan.area.covers(extent))
         work = WriteClassified(
             path=location(source.info.path), source=source.number,
-            out=joined(out, "classified", str(plan.names[source.info.path])), labels=LABELS, cells=tuple(cells),
+            out=joined(out, CLASSIFIED, str(plan.names[source.info.path])), labels=LABELS, cells=tuple(cells),
             salvage=plan.config.salvage, area=None if whole else area_key(plan), stamp=source.info.stamp,
         )  # fmt: skip
         digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells])

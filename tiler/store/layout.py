@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import StoreError
 
 SCHEMA_VERSION = 2
@@ -34,7 +35,6 @@ ROOT_ATTRIBUTE = "tiler_store"
 ROW_POINTS = 131072
 """Points in a row of the columns: one chunk, one object. Measured: see DESIGN.md, "Store layout"."""
 
-RASTER_CHUNK = 512
 SPOOL_CHUNK = 65536
 
 LOCK_KEY = "lock.json"
@@ -126,7 +126,7 @@ def columns(has_rgb: bool) -> tuple[Column, ...]:
 
 def raster_kind(fill: float) -> ArrayKind:
     """Rasters: chunks of one block; a block that holds no data is not stored."""
-    return ArrayKind("float32", (RASTER_CHUNK, RASTER_CHUNK), fill, sparse=True)
+    return ArrayKind("float32", (BLOCK_PIXELS, BLOCK_PIXELS), fill, sparse=True)
 
 
 def record_type(has_rgb: bool) -> np.dtype[np.void]:

@@ -7,10 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.raster import Block
+from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.errors import StoreError
 from tiler.store import arrays, layout
-from tiler.store.layout import RASTER_CHUNK
 from tiler.store.storage import Storage
 
 
@@ -40,11 +39,11 @@ def write_block(
         The block is not a chunk of the raster, or ``values`` have another shape.
     """
     height, width = array.shape
-    whole = (min(RASTER_CHUNK, height - block.row), min(RASTER_CHUNK, width - block.col))
-    aligned = block.row % RASTER_CHUNK == 0 and block.col % RASTER_CHUNK == 0
+    whole = (min(BLOCK_PIXELS, height - block.row), min(BLOCK_PIXELS, width - block.col))
+    aligned = block.row % BLOCK_PIXELS == 0 and block.col % BLOCK_PIXELS == 0
     if not aligned or (block.height, block.width) != whole or values.shape != whole:
         raise StoreError(
-            f"{array.path}: block {block.name} is no chunk; blocks are {RASTER_CHUNK} pixels wide"
+            f"{array.path}: block {block.name} is no chunk; blocks are {BLOCK_PIXELS} pixels wide"
         )
     arrays.write(storage, array, _window(block), values.astype(np.float32, copy=False))
 
@@ -61,7 +60,7 @@ def stored_blocks(storage: Storage, name: str) -> set[tuple[int, int]]:
     """Row and column of the north-west pixel of each block that a chunk is stored for; the others hold the fill."""
     folder = f"{layout.raster_path(name)}/c"
     return {
-        (int(row) * RASTER_CHUNK, int(col) * RASTER_CHUNK)
+        (int(row) * BLOCK_PIXELS, int(col) * BLOCK_PIXELS)
         for row in storage.names(folder)
         for col in storage.names(f"{folder}/{row}")
         if row.isdigit() and col.isdigit()
@@ -71,7 +70,7 @@ def stored_blocks(storage: Storage, name: str) -> set[tuple[int, int]]:
 def erase_blocks(storage: Storage, name: str, blocks: Iterable[Block]) -> None:
     """Remove the chunks of some blocks, which then hold the fill."""
     for block in blocks:
-        chunk = f"c/{block.row // RASTER_CHUNK}/{block.col // RASTER_CHUNK}"
+        chunk = f"c/{block.row // BLOCK_PIXELS}/{block.col // BLOCK_PIXELS}"
         storage.delete(f"{layout.raster_path(name)}/{chunk}")
 
 

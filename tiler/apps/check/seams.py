@@ -23,12 +23,11 @@ from scipy.ndimage import maximum_filter1d
 
 from tiler.apps.evaluate.heights import blocks_with_files, horizontal_unit, read_heights, vertical_unit
 from tiler.apps.evaluate.rasters import open_raster
+from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
 from tiler.io.json_text import read_object
-
-BLOCK_PIXELS = 512
-"""Side of the blocks in which a run makes its rasters, counted from the north-west corner."""
+from tiler.io.result_folder import RUN
 
 BESIDE = (3, 20)
 """Lines of pixels from an edge that are beside it: the next two see half of its jump in their neighbours' slopes."""
@@ -255,7 +254,7 @@ def edges_of_run(dtm: Path) -> TileEdges | None:
     InputError
         The file is not what a run writes.
     """
-    path = dtm.parent / "run.json"
+    path = dtm.parent / RUN
     if not path.is_file():
         return None
     from tiler.core.units import unit_named

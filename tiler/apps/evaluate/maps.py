@@ -17,8 +17,9 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from tiler.core.classes import GROUND
+from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
-from tiler.export.geotiff import CACHE_MB, TILE, raster_errors
+from tiler.export.geotiff import CACHE_MB, raster_errors
 from tiler.export.picture import write_png
 from tiler.io.locations import appearing
 
@@ -193,7 +194,8 @@ def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
     profile = {
         "driver": "GTiff", "height": height, "width": width, "count": len(BANDS), "dtype": "uint8", "nodata": NONE,
         "crs": crs, "transform": Affine(side, 0, float(west * grid.cell), 0, -side, float((north + 1) * grid.cell)),
-        "tiled": True, "blockxsize": TILE, "blockysize": TILE, "compress": "deflate", "BIGTIFF": "IF_SAFER",
+        "tiled": True, "blockxsize": BLOCK_PIXELS, "blockysize": BLOCK_PIXELS, "compress": "deflate",
+        "BIGTIFF": "IF_SAFER",
     }  # fmt: skip
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -203,8 +205,8 @@ def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
             appearing(path) as partial,
             rasterio.open(partial, "w", **profile) as raster,
         ):
-            for row in range(0, height, TILE):
-                rows = min(TILE, height - row)
+            for row in range(0, height, BLOCK_PIXELS):
+                rows = min(BLOCK_PIXELS, height - row)
                 raster.write(grid.bands(row, rows), window=Window(0, row, width, rows))
             for band, text in enumerate(BANDS, start=1):
                 raster.set_band_description(band, text)
