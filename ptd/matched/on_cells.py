@@ -74,7 +74,7 @@ class MethodSurveyPass(SurveyPass):
             return after
         line = (
             f"decided: starts from one robust height per cell of {CELL_M:g} m, not the lowest point; ground is up to "
-            f"{GROUND_M:g} m and the local noise from the surface, after a vote of neighbours "
+            f"{GROUND_M:g} m and twice the local noise from the surface, after a vote of neighbours "
             "(as the paper has it: --set robust_cells=no)"
         )
         return {**after, "notes": noted(after, line, *self.notes)}

@@ -19,8 +19,8 @@ from ptd.passes import Int32, Model, Pass, Points, State, UInt8
 
 LEFT, TERRAIN, OBJECT = 1, 2, 3
 """Codes of cells between passes: of a surface that may be either, of terrain, of a large object."""
-GROUND_M, GROUND_SIGMAS = 0.2, 1.0
-"""After the vote, ground lies so near the surface, and nearer by so many times the local noise more."""
+GROUND_M, GROUND_SIGMAS = 0.15, 2.0
+"""After the vote, ground lies nearer to the surface than this and so many times the local noise."""
 LOW_M, LOW_SIGMAS = 0.5, 4.0
 """What lies lower is low noise."""
 CLEAR_M = 2.0

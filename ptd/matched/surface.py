@@ -6,8 +6,9 @@
    crests.
 2. Still less stiff hulls follow banks, ridges and crests, where what lies above the surface is terrain's as a whole
    (`ptd.matched.objects`), or nearly all around is ground.
-3. `ROUNDS` times, the mean residual of the cells that lie about the surface is added, at two scales. Noise is the
-   root mean square of the residuals below the surface: what lies above may be plants.
+3. `ROUNDS` times, the mean residual of the cells that lie about the surface is added, at two scales; in the last of
+   them what rises beside objects counts less. Noise is the root mean square of the residuals below the surface: what
+   lies above may be plants.
 
 Gaussian sums over cells are cut off at a fixed radius, so nothing beyond `reach_cells` has a part in the surface.
 """
@@ -20,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import correlate1d
+from scipy.ndimage import correlate1d, maximum_filter
 
 from ptd.cells import Int32
 from ptd.frame import Scale
@@ -49,6 +50,9 @@ SCALES_M = (3.0, 1.5)
 """Standard deviations of the surroundings whose mean residual is added."""
 FEW = 0.05
 """Weight of no residual at all, so that few cells move the surface little."""
+PLAIN_ROUNDS, BESIDE = 3, 0.2
+"""After so many rounds, cells above the surface that touch one too high to be ground weigh no more than this: they are
+the rounded edges of cars, walls and plants. Not before, as until then the surface still climbs onto banks."""
 ABOVE_M, ABOVE_SIGMAS, BELOW_M, BELOW_SIGMAS = 0.1, 2.5, 0.3, 3.0
 """What lies about the surface: metres and times the local noise, above and below."""
 ABOUT_SLOPE = 0.15
@@ -138,7 +142,8 @@ def reach_cells() -> int:
     bent = max(h.reach for h in (STIFF, PLIABLE, *RIDGES)) + slope + _share_radius(CONTRAST_M)
     bent += len(RIDGES) * max(slope + _share_radius(RIDGE_M), _share_radius(TERRAIN_M))
     about = max(slope, _radius(NOISE_M)) + _share_radius(CONTRAST_M)
-    return bent + 2 * about + ROUNDS * sum(_radius(m) for m in SCALES_M) + _radius(max(EXTENDED_M))
+    rounds = ROUNDS * sum(_radius(m) for m in SCALES_M) + ROUNDS - PLAIN_ROUNDS
+    return bent + 2 * about + rounds + _radius(max(EXTENDED_M))
 
 
 def ground_surface(
@@ -251,14 +256,14 @@ def _of_terrain(cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float) 
 def _refined(cells: _Cells, surface: Float64, sigma_m: float) -> tuple[Float64, Float64, Float64]:
     """The surface amid the cells that lie about it, their noise, and how much narrower the band is in plants."""
     _, _, above, below = _about(cells, surface, sigma_m)
-    for _ in range(ROUNDS):
+    for k in range(ROUNDS):
         residual = cells.height - surface
-        ground = cells.there & (residual < above) & (residual > -below)
-        weight = ground.astype(np.float64)
+        weight = np.where(cells.there & (residual < above) & (residual > -below), 1.0, 0.0)
+        if k >= PLAIN_ROUNDS:
+            objects = maximum_filter(cells.there & (residual >= above), 3, mode="constant")
+            weight[objects & (residual > 0.0)] *= BESIDE
         for std_m in SCALES_M:
-            mean = smoothed(np.where(ground, cells.height - surface, 0.0), std_m) / (
-                smoothed(weight, std_m) + FEW
-            )
+            mean = smoothed(weight * (cells.height - surface), std_m) / (smoothed(weight, std_m) + FEW)
             surface = surface + np.where(cells.there, mean, 0.0)
     sigma, narrowing, _, _ = _about(cells, surface, sigma_m)
     return surface, sigma, narrowing

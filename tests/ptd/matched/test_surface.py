@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter
 
 from ptd.frame import Scale
 from ptd.matched import surface
@@ -158,3 +159,14 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int) -> None:
     assert cut.height[inner].size > 100
     for name in Surface._fields:
         assert np.array_equal(getattr(cut, name)[inner], getattr(whole, name)[part][inner], equal_nan=True)
+
+
+def test_edges_of_cars_lift_it_less_than_low_plants(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cars are rounded: the cells around them are 0.3 m high. Where all weigh alike they lift the surface."""
+    row, column, rng = places(64)
+    car = (row % 20 < 4) & (column % 16 < 4)
+    edge = maximum_filter(car, 3) & ~car
+    z = 1.5 * car + 0.3 * edge + 0.02 * rng.standard_normal(row.shape)
+    lifted = of(z).height[edge].mean()
+    monkeypatch.setattr(surface, "BESIDE", 1.0)
+    assert lifted < 0.85 * of(z).height[edge].mean()
