@@ -314,7 +314,8 @@ def decided(
     notes = [note]
     if survey["kind"] == DIM:
         notes.append(
-            f"decided: ground is up to {GROUND_M:g} m and twice the local noise from the surface, after a vote of neighbours"
+            f"decided: ground is up to {GROUND_M:g} m and twice the local noise from the surface, "
+            "after a vote of neighbours"
         )
         return survey, notes
     chosen = settings(params, survey)

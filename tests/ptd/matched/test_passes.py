@@ -118,7 +118,7 @@ def test_objects_found_before_stay_objects() -> None:
 
 
 def test_points_are_ground_within_the_tolerance_about_the_surface_and_low_noise_below() -> None:
-    """A flat surface at 10 m, noise 0.1 m: ground to 0.35 m, low noise from 0.9 m below on; in plants half of 0.35 m."""
+    """A flat surface at 10 m, noise 0.1 m: ground to 0.35 m, low noise from 0.9 m below on; half of it in plants."""
     z = np.array([10.0, 10.34, 10.36, 9.66, 9.64, 9.11, 9.09, 3.0, 12.5])
     x = np.round(3000 + 2000 * np.arange(z.size)).astype(np.int32)  # too far apart to vote
     cells = Cells.of(1.0, MM)
