@@ -70,8 +70,11 @@ def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | 
 
 
 def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
-    """Buckets in parts that lie at least `FAR` from one another: cells of that size with an empty one between."""
-    far = Lattice(Fraction(int(FAR * COUNTS_PER_UNIT)))
+    """Buckets in parts that lie at least `FAR` from one another: cells of that size with an empty one between.
+
+    Where points are so sparse that buckets are wider than that, an empty bucket lies between.
+    """
+    far = Lattice(max(Fraction(int(FAR * COUNTS_PER_UNIT)), lattice.size))
     wide: dict[tuple[int, int], list[Cell]] = {}
     for cell in sorted(buckets):
         bounds = lattice.bounds(cell)

@@ -17,8 +17,11 @@ from tiler.plan.memory import ASSEMBLY_POINT_BYTES, BASE_BYTES, PlannedPass, fil
 from tiler.store import StoreMeta
 
 BUCKET_POINTS = 100_000
-BUCKETS_M = (8, 16, 32, 64, 128)
+BUCKETS_M = (8, 16, 32, 64, 128, 256, 512, 1024)
 TILE_M = 512
+TILE_POINTS = 500_000
+"""So many points a tile of a sparse cloud holds, up to `SPARSE_TILE_M`: a task costs more than a few points do."""
+SPARSE_TILE_M = 4096
 
 FAR_FROM_MEAN = 2.0
 """From so many times the mean over the files' bounds on the density of the sample is right, however rough it is."""
@@ -95,14 +98,18 @@ def bucket_m(density: float, crowd: Crowd, memory: int) -> int:
 def tile_m(
     memory: int, density: float, cell_m: float, passes: Iterable[PlannedPass], meta: StoreMeta
 ) -> Fraction:
-    """Largest tile, at most `TILE_M`, whose windows use three quarters of the memory left after start-up."""
+    """Largest tile whose windows use three quarters of the memory left after start-up.
+
+    At most `TILE_M`, where the points are sparse the side of `TILE_POINTS`: a window of little work is worth no task.
+    """
     budget = max(memory - BASE_BYTES, memory // 4) * 3 / 4
     sides = [
         math.sqrt(budget / filter_bytes(density, 1.0, cell_m, step)) - 2 * step.halo_m for step in passes
     ]
-    side = min(sides, default=float(TILE_M))
+    most = min(max(TILE_M, math.sqrt(TILE_POINTS / density)), SPARSE_TILE_M)
+    side = min(sides, default=most)
     bucket = meta.bucket.size * meta.frame.metres_xy
-    return max(min(Fraction(TILE_M), Fraction(max(side, 0.0))) // bucket, 1) * bucket
+    return max(min(Fraction(most), Fraction(max(side, 0.0))) // bucket, 1) * bucket
 
 
 def resolution_of(config: RunConfig, density: float, notes: list[str]) -> Fraction:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
@@ -12,7 +13,9 @@ from tiler.plan import make_plan, plan_json, plan_lines
 def test_passes_of_another_kind_are_not_reckoned_with(make_cloud: MakeCloud) -> None:
     bounds = (500_000.0, 5_400_000.0, 500_001.0, 5_400_001.0)
     unknown, laser, matched = (
-        make_plan([str(make_cloud())], RunConfig(kind=kind, bounds=bounds, in_process=True))
+        make_plan(
+            [str(make_cloud())], RunConfig(kind=kind, bounds=bounds, tile_size=Fraction(512), in_process=True)
+        )
         for kind in (None, "als", "dim")
     )
     assert (laser.kind, laser.halo_m) == ("lidar", 229.0)
