@@ -18,7 +18,7 @@ from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, discreet, silent
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember
 from tiler.report.html import write_report
-from tiler.runs.job import Job, RunResult
+from tiler.runs.job import Job, Ownership, RunResult
 from tiler.stages.corrections import correct
 from tiler.stages.export import export
 from tiler.stages.filter import filter_points
@@ -81,7 +81,7 @@ def run(
     url = config.store or joined(products, STORE)
     with _held(out, products, url) as leases, _copied(out, products):
         plan, store = _frozen(plan, url)
-        job = Job(plan, out, products, store, discreet(listener), leases=leases)
+        job = Job(plan, out, products, store, discreet(listener), Ownership(leases))
         job.facts["products_at"] = products if is_url(products) else None
         job.facts["earlier_outputs"] = earlier_outputs(out, products)
         job.facts["digests"] = earlier_digests(out, products)
@@ -144,15 +144,17 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
         raise
     finally:
         job.crew.close()
-    if until != "export" and job.computed and job.facts["earlier_outputs"]:
+    if until != "export" and job.record.computed and job.facts["earlier_outputs"]:
         job.note(
             f"files in {job.products} are those of an earlier run until `tiler export` or `tiler run` writes them anew"
         )
     job.facts["seconds"] = round(time.monotonic() - started, 3)
-    remember(plan, job.stages)
+    remember(plan, job.record.stages)
     summary = _report(job)
     listener("run_finished", {"seconds": job.facts["seconds"]})
-    return RunResult(5 if job.quarantined or job.failed else 0, summary, job.computed == 0)
+    return RunResult(
+        5 if job.record.quarantined or job.record.failed else 0, summary, job.record.computed == 0
+    )
 
 
 def _report(job: Job) -> dict[str, Any]:
@@ -164,7 +166,7 @@ def _report(job: Job) -> dict[str, Any]:
     except Exception as error:  # noqa: BLE001 - whatever it is: the results are there
         text = f"{REPORT} could not be drawn: {error}; `tiler report {job.out}` tries again"
         job.listener("warning", {"text": text})
-        job.notes.append(text)
+        job.record.notes.append(text)
         job.facts["report"] = None
         summary = job.save("done")
     return summary
@@ -173,7 +175,10 @@ def _report(job: Job) -> dict[str, Any]:
 def _healing_stages(job: Job, until: str) -> None:
     """The stages, and again what wrote objects of the store that turn out to be damaged."""
     for number in range(ROUNDS + 1):
-        job.failed, job.quarantined = [], [{"path": p, "error": e} for p, e in job.plan.unreadable]
+        job.record.failed, job.record.quarantined = (
+            [],
+            [{"path": p, "error": e} for p, e in job.plan.unreadable],
+        )
         try:
             _stages(job, until)
             return

@@ -72,7 +72,7 @@ def test_a_report_that_fails_is_told_and_costs_nothing(
 def test_tiles_without_number_are_counted(
     demo: DemoScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.runs.job.LISTED_TILES", 1)
+    monkeypatch.setattr("tiler.runs.record.LISTED_TILES", 1)
     summary = do(list(demo.paths), tmp_path / "out", tile_size="128").summary
     assert set(summary["tiles"]) == {"grid-dtm"}
     assert summary["stages"]["filter0"]["tasks"] > 1

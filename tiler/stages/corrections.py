@@ -19,6 +19,7 @@ from tiler.export import WriteClassified
 from tiler.grid import FillBlock, PointsBlock, SurveyEdit, full_halo, survey_edit
 from tiler.plan import Plan
 from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Placed, Task, digest_of
 from tiler.stages.tasks import Assembled, ground_rule
 from tiler.store import Commits
@@ -124,10 +125,12 @@ def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str]) -> Edi
     plan = job.plan
     cell = Lattice(plan.meta.frame.counts(plan.resolution))
     tasks = {edit.number: _survey_task(plan, edit, cell, assembled, labels) for edit in plan.edits}
-    made = job.perform("edits", tasks.values())
+    made = run_stage(job, "edits", tasks.values())
     missing = [task for task in tasks.values() if task.key not in made]
     if missing:
-        raise ProcessingError(f"--edits: {missing[0].key} could not be applied: {job.failed[-1]['error']}")
+        raise ProcessingError(
+            f"--edits: {missing[0].key} could not be applied: {job.record.failed[-1]['error']}"
+        )
     records = {number: made[task.key][1] for number, task in tasks.items()}
     edits = Edits(tuple(replace(e, lowest=records[e.number]["lowest"]) for e in plan.edits), cell)
     job.store.put_edits(edits)

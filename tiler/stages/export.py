@@ -12,6 +12,7 @@ from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.result_folder import below
 from tiler.plan import KEEP
 from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
 from tiler.stages.changed_outputs import take_back_spoilt
 from tiler.stages.corrections import Corrections
@@ -69,7 +70,9 @@ def export(
     }
     _refuse_removed(job)
     if not products:
-        raise ProcessingError(f"{job.failed[-1]['key']} could not be written: {job.failed[-1]['error']}")
+        raise ProcessingError(
+            f"{job.record.failed[-1]['key']} could not be written: {job.record.failed[-1]['error']}"
+        )
 
 
 def _tell_of_contours(job: Job) -> None:
@@ -118,7 +121,7 @@ def _write(job: Job, stage: str, tasks: list[Task], out: str) -> bool:
     """Write files that are not there, or not as they were written; whether all products among them are."""
     files = _files(tasks)
     take_back_spoilt(job, stage, files)
-    written = job.perform(stage, tasks, writes_out=True)
+    written = run_stage(job, stage, tasks, writes_out=True)
     job.facts["outputs"] |= {below(out, files[k]): record["bytes"] for k, (_, record) in written.items()}
     job.facts["digests"] |= {
         below(out, files[k]): record["digest"] for k, (_, record) in written.items() if "digest" in record

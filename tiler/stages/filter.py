@@ -17,6 +17,7 @@ from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile
 from tiler.plan import KEEP
 from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
 from tiler.stages.tasks import Assembled, Before, filter_tasks
 
@@ -49,9 +50,9 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
             writes = True
             _clear_passed_over(job, passes, state)
         tasks = list(filter_tasks(job.plan, assembled, number, state, before))
-        filtered = job.perform(f"filter{number}", tasks, warm)
+        filtered = run_stage(job, f"filter{number}", tasks, warm)
         if not filtered:
-            raise ProcessingError(f"no tile could be filtered; the first: {job.failed[0]['error']}")
+            raise ProcessingError(f"no tile could be filtered; the first: {job.record.failed[0]['error']}")
         if step.elects or step.gives_labels:
             is_last = step.gives_labels and not later_passes(passes, number, state)
             for task in tasks:

@@ -33,7 +33,7 @@ File = tuple[str, State, int]
 
 
 def numbered(job: Job) -> list[Source]:
-    """The sources that hold points and can be read to their end; others are listed in ``job.quarantined``.
+    """The sources that hold points and can be read to their end; others are listed in ``job.record.quarantined``.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
     for place, reason in sorted(unreadable.items()):
         if job.plan.config.on_error == "stop" or len(job.plan.sources) == 1:
             raise InputError(reason)
-        job.quarantined.append({"path": place, "error": reason})
+        job.record.quarantined.append({"path": place, "error": reason})
         job.listener("warning", {"text": f"{place}: left out: {reason.removeprefix(f'{place}: ')}"})
 
 

@@ -20,6 +20,7 @@ from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
 from tiler.plan import KEEP
 from tiler.plan.advice import roofs_in_terrain
 from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
 from tiler.runs.worker import compute
 from tiler.schedule import Task, digest_of
 from tiler.stages.corrections import Corrections, tell_of_pixels
@@ -80,7 +81,11 @@ def _settle_surface(job: Job) -> None:
 
 def _holes(job: Job) -> list[Bounds]:
     """Where tiles or buckets failed, absolute counts."""
-    found = [f["bounds"] for f in job.failed if f["stage"].startswith(("assemble", "filter")) and f["bounds"]]
+    found = [
+        f["bounds"]
+        for f in job.record.failed
+        if f["stage"].startswith(("assemble", "filter")) and f["bounds"]
+    ]
     return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in found]
 
 
@@ -99,9 +104,9 @@ def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task]) -> Comm
         _blank(job, name, spec, stored - done.keys())
     job.store.put_state(f"raster-{name}", spec.to_json())
     how: Literal["linear", "natural"] = "natural" if job.plan.config.interpolation == "natural" else "linear"
-    made = job.perform(stage, tasks, functools.partial(warm_gridding, how))
+    made = run_stage(job, stage, tasks, functools.partial(warm_gridding, how))
     if tasks and not made:
-        raise ProcessingError(f"no block of {name} could be made; the first: {job.failed[0]['error']}")
+        raise ProcessingError(f"no block of {name} could be made; the first: {job.record.failed[0]['error']}")
     return made
 
 
@@ -123,7 +128,7 @@ def _advise(job: Job, spec: RasterSpec, made: Commits) -> None:
     if building is None:
         return
     found = job.store.get_state("advice")
-    if job.stages["grid-dtm"]["computed"] or not found or found["building_m"] != building:
+    if job.record.stages["grid-dtm"]["computed"] or not found or found["building_m"] != building:
         filled = (
             spec.block_named(key, BLOCK_PIXELS) for key, (_, record) in made.items() if record["filled"]
         )
@@ -175,5 +180,5 @@ def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mappin
             f"the terrain model has no height at all: no three {what} lie within --max-edge "
             f"{float(config.max_edge):g} m of one another"
         )
-        job.notes.append(text)
+        job.record.notes.append(text)
         job.listener("warning", {"text": text})

@@ -15,6 +15,7 @@ from tiler.ingest import FAR, OUTSIDE_AREA, Strays
 from tiler.io.locations import is_url
 from tiler.plan import Plan, bounds_of, too_much_between
 from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
 from tiler.stages.tasks import (
     Assembled,
@@ -31,13 +32,13 @@ from tiler.store import BucketInfo, Commits
 
 def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     """Decode; a source with a piece that failed, or whose points cannot be where they are, is left out whole."""
-    spooled = job.perform("spool", spool_tasks(job.plan, sources))
-    bad = {source_of(f["key"]): f["error"] for f in job.failed if f["stage"] == "spool"}
-    job.failed = [f for f in job.failed if f["stage"] != "spool"]
+    spooled = run_stage(job, "spool", spool_tasks(job.plan, sources))
+    bad = {source_of(f["key"]): f["error"] for f in job.record.failed if f["stage"] == "spool"}
+    job.record.failed = [f for f in job.record.failed if f["stage"] != "spool"]
     bad |= _misplaced(job, [s for s in sources if s.name not in bad], spooled)
     good = [s for s in sources if s.name not in bad]
     left_out = [(str(s.info.path), bad[s.name]) for s in sources if s.name in bad]
-    job.quarantined += [{"path": path, "error": error} for path, error in left_out]
+    job.record.quarantined += [{"path": path, "error": error} for path, error in left_out]
     # What an error says may not name the file: a worker died.
     lines = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in left_out]
     if not good:
@@ -134,10 +135,10 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
         {cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()}
     )
     _bring_back(job, sources, [task for task in tasks if task.key not in done])
-    commits = job.perform("assemble", tasks)
+    commits = run_stage(job, "assemble", tasks)
     assembled = Assembled.of(commits)
     if not commits:
-        raise ProcessingError(f"no bucket could be written; the first: {job.failed[0]['error']}")
+        raise ProcessingError(f"no bucket could be written; the first: {job.record.failed[0]['error']}")
     area = job.plan.area
     if area is not None and area.bounds.intersection(assembled.bounds).empty:
         raise InputError("no point of the clouds lies in the area, though some lie near it; name another")
@@ -162,7 +163,7 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
     if gone:
         job.note(f"{len(gone)} pieces were removed from the store since they were decoded; they are again")
         job.take_back("spool", gone)
-        job.perform("spool", spool_tasks(job.plan, sources))
+        run_stage(job, "spool", spool_tasks(job.plan, sources))
 
 
 def _tell_of_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:

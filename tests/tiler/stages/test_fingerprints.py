@@ -17,6 +17,7 @@ from tiler.core.lattice import Lattice
 from tiler.errors import InputError
 from tiler.ingest import inspect
 from tiler.observe.events import silent
+from tiler.runs.record import RunRecord
 from tiler.schedule import SerialExecutor
 from tiler.stages import fingerprints
 from tiler.stages.tasks import Source
@@ -39,7 +40,7 @@ def numbered(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list
     """The sources, and what stood for the run."""
     plan = SimpleNamespace(sources=[inspect(path) for path in paths], config=RunConfig(**settings))
     crew = SimpleNamespace(executor=lambda writes_out: SerialExecutor())
-    job: Any = SimpleNamespace(plan=plan, store=store, crew=crew, listener=silent, quarantined=[])
+    job: Any = SimpleNamespace(plan=plan, store=store, crew=crew, listener=silent, record=RunRecord())
     return fingerprints.numbered(job), job
 
 
@@ -100,7 +101,7 @@ def test_a_file_that_changes_meanwhile_is_left_out(
     grow_while_it_is_read(monkeypatch, paths[4])
     sources, job = numbered(paths, store)
     assert [s.number for s in sources] == [0, 1, 2, 3, 5, 6, 7, 8, 9]
-    (left_out,) = job.quarantined
+    (left_out,) = job.record.quarantined
     assert left_out["path"] == str(paths[4])
     assert "while the run went on (" in left_out["error"]
     monkeypatch.undo()
