@@ -203,6 +203,7 @@ def test_classes_and_heights_follow_edits(made: Path) -> None:
     page = (made / "report.html").read_text()
     assert "4 corrections" in page
     assert "Breaklines" in page
+    assert '"title":"corrections"' in page.replace(" ", "")
 
 
 def test_contours_agree_with_the_terrain_and_neither_cross_nor_break(made: Path) -> None:

@@ -18,6 +18,8 @@ STORED_PIXEL_BYTES = 2.2
 """Per pixel of the store's rasters, compressed; measured on a terrain model."""
 EMPTY_PIXEL_BYTES = 0.03
 """Per pixel of a file where there is nothing far around, compressed; measured on a file of 1.6e9 such pixels."""
+DRAWN_PIXEL_BYTES = 5
+"""Per pixel that contours are drawn of; measured on a terrain model, 90 levels, heights not smoothed."""
 COPIES = 2
 """Copies of a raster while its COG is made: the plain one, and what GDAL writes."""
 CLASSIFIED_SHARE = 1.2
@@ -55,7 +57,7 @@ def pixels_of(plan: Plan) -> Pixels:
 
 
 def projected_disk(plan: Plan) -> dict[str, int]:
-    """Bytes of the ``store``, of the ``rasters``, of the ``classified`` clouds, and of ``scratch`` of the largest COG.
+    """Bytes of ``store``, ``rasters``, ``drawn`` products, ``classified`` clouds, and ``scratch`` of the largest COG.
 
     Rasters are reckoned as if every pixel of a block near points held a value.
     """
@@ -72,6 +74,7 @@ def projected_disk(plan: Plan) -> dict[str, int]:
             + STORED_PIXEL_BYTES * pixels.filled * len(names)
         ),
         "rasters": int(pixels.filled * sum(sizes) + pixels.empty * EMPTY_PIXEL_BYTES * len(names)),
+        "drawn": int(pixels.filled * DRAWN_PIXEL_BYTES * len(plan.config.drawn)),
         "classified": 0
         if plan.config.method == KEEP
         else int(CLASSIFIED_SHARE * sum(s.size for s in plan.sources)),

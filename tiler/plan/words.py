@@ -53,6 +53,7 @@ def plan_lines(plan: Plan) -> list[str]:
         f"DTM         {float(plan.resolution):g} m pixels, "
         f"nodata beyond facets of {float(plan.config.max_edge):g} m",
         f"products    {', '.join(plan.config.products)}",
+        *_drawn_in_words(plan),
         f"tiles       about {plan.tiles} of {float(plan.tile):g} m with {_halo_in_words(plan)}, "
         f"about {plan.fullest_window():,} points in the fullest window",
         "memory      "
@@ -67,6 +68,13 @@ def plan_lines(plan: Plan) -> list[str]:
         *(f"warning     {text}" for text in plan.warnings),
         *(f"left out    {path}: {reason}" for path, reason in plan.unreadable),
     ]
+
+
+def _drawn_in_words(plan: Plan) -> list[str]:
+    """What people drew for the run, if anything."""
+    counts = {"correction": len(plan.edits), "breakline": len(plan.lines)}
+    parts = [f"{n:,} {name}{'' if n == 1 else 's'}" for name, n in counts.items() if n]
+    return [f"drawn       {', '.join(parts)}"] if parts else []
 
 
 def _area_facts(plan: Plan) -> dict[str, Any] | None:

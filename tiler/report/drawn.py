@@ -32,6 +32,21 @@ def drawn(run: Run) -> list[Node]:
     return [section("drawn", "Drawn", *content)] if content else []
 
 
+def shapes(run: Run) -> list[dict[str, Any]]:
+    """Layers of lines for the map: name, title, colour, and of each line x, y, x, y, ... in units of the CRS."""
+    layers = [
+        (
+            "edits",
+            "corrections",
+            "#d1341f",
+            [ring for e in run.get("edits", ()) for ring in e.get("rings", ())],
+        ),
+        ("breaklines", "breaklines", "#0b7a75", (run.get("breaklines") or {}).get("drawn", [])),
+    ]
+    names = ("name", "title", "colour", "lines")
+    return [dict(zip(names, layer, strict=True)) for layer in layers if layer[3]]
+
+
 def _changed(edit: Mapping[str, Any]) -> str:
     """In words; of edits that overlap each is told as if it were alone."""
     if "pixels" in edit:

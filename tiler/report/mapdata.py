@@ -1,4 +1,4 @@
-"""What the page's map draws over the pictures: tiles with state and time, outlines of files, checkpoints."""
+"""What the page's map draws over the pictures: tiles with state and time, outlines of files, drawings, checkpoints."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from tiler.io.json_text import read_object
 from tiler.io.result_folder import EVENTS
 from tiler.redaction import shown
 from tiler.report.accuracy import checkpoints_on_map
+from tiler.report.drawn import shapes
 from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
 
 MOST_TILES = 20_000
@@ -77,6 +78,7 @@ def map_data(
         ],
         "stages": _stages(run),
         "files": _files(run),
+        "shapes": shapes(run),
         **checkpoints_on_map(accuracy),
         "time_colours": [_css(ramp_colour(VIRIDIS, i / (TIME_COLOURS - 1))) for i in range(TIME_COLOURS)],
     }

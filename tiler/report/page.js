@@ -1,5 +1,5 @@
 "use strict";
-// The map: pictures of the page drawn on a canvas, and over them tiles, outlines of files, checkpoints.
+// The map: pictures of the page drawn on a canvas, and over them tiles, outlines of files, what people drew, checkpoints.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const canvas = document.getElementById("canvas");
@@ -55,6 +55,7 @@
     }
     drawTiles();
     if (shown.files) drawFiles();
+    for (const layer of data.shapes) if (shown[layer.name]) drawShapes(layer);
     if (shown.checkpoints) drawCheckpoints();
   }
 
@@ -87,6 +88,15 @@
     pen.setLineDash([6, 4]);
     for (const file of data.files) pen.strokeRect(...box(file));
     pen.setLineDash([]);
+  }
+
+  function drawShapes(layer) {
+    pen.strokeStyle = layer.colour;
+    pen.lineWidth = 2;
+    pen.beginPath();
+    for (const line of layer.lines)
+      for (let i = 0; i < line.length; i += 2) pen[i ? "lineTo" : "moveTo"](column(line[i]), row(line[i + 1]));
+    pen.stroke();
   }
 
   function drawCheckpoints() {
@@ -242,6 +252,10 @@
     addChoice("of", "stage", data.stages.map((s, i) => [i, s.title]));
   }
   if (data.files.length) addSwitch("files", "files");
+  for (const layer of data.shapes) {
+    shown[layer.name] = true;
+    addSwitch(layer.title, layer.name);
+  }
   if (data.checkpoints.length) addSwitch("checkpoints", "checkpoints");
   addButton("+", "Zoom in", () => zoom(1.5));
   addButton("\u2212", "Zoom out", () => zoom(1 / 1.5));

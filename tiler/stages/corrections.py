@@ -6,11 +6,13 @@ They change the digests of the buckets and blocks that they touch and of no othe
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tiler.core.breaklines import SHORTEST_M, Breaklines
+import numpy as np
+
+from tiler.core.breaklines import SHORTEST_M, Breaklines, Counts
 from tiler.core.edits import OF_PIXELS, OF_POINTS, Edit, Edits
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
@@ -27,6 +29,8 @@ from tiler.version import __version__
 
 EDITED = ("dtm", "dtm-filled")
 """Rasters whose heights edits can set."""
+MOST_PLACES = 20_000
+"""Vertices that run.json and the report's map take of edits, or of breaklines."""
 FOLLOWS_LINES = "dtm"
 """The raster that is made of breaklines as well."""
 
@@ -101,7 +105,9 @@ def correct(
         pixel = plan.meta.frame.counts(plan.resolution)
         lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(SHORTEST_M))
         job.store.put_breaklines(lines)
-        job.facts["breaklines"] = {"lines": len(plan.lines), "vertices": len(lines.vertices)}
+        job.facts["breaklines"] = {
+            "lines": len(plan.lines), "vertices": len(lines.vertices), "drawn": _drawn(plan.lines),
+        }  # fmt: skip
         found = replace(found, lines=lines, line_digests=lines.digests(plan.meta.bucket))
     return corrected, found
 
@@ -135,7 +141,18 @@ def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str]) -> Edi
     edits = Edits(tuple(replace(e, lowest=records[e.number]["lowest"]) for e in plan.edits), cell)
     job.store.put_edits(edits)
     job.facts["edits"] = [_fact(edit, records[edit.number]) for edit in edits.edits]
+    rings = [[ring for rings in edit.area.polygons for ring in rings] for edit in edits.edits]
+    if sum(len(ring) for of_edit in rings for ring in of_edit) <= MOST_PLACES:
+        for fact, of_edit in zip(job.facts["edits"], rings, strict=True):
+            fact["rings"] = _drawn([np.vstack((ring, ring[:1])) for ring in of_edit])
     return edits
+
+
+def _drawn(lines: Sequence[Counts]) -> list[list[float]]:
+    """Lines for the map, x, y, x, y, ... in units of the CRS; none where they have too many vertices for a page."""
+    if sum(len(line) for line in lines) > MOST_PLACES:
+        return []
+    return [(line[:, :2] / COUNTS_PER_UNIT).ravel().tolist() for line in lines]
 
 
 def _survey_task(
