@@ -33,7 +33,7 @@ SCHEMA_VERSION = 2
 ROOT_ATTRIBUTE = "tiler_store"
 
 ROW_POINTS = 131072
-"""Points in a row of the columns: one chunk, one object. Measured: see DESIGN.md, "Store layout"."""
+"""Points in a row of the columns: one chunk, one object. Measured: see docs/decisions.md, "Store layout"."""
 
 SPOOL_CHUNK = 65536
 
