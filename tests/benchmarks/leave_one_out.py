@@ -27,8 +27,8 @@ FACTORS = (0.75, 1.0, 1.25)
 GROUND = 2
 
 MATCHED_GRID: dict[str, tuple[Any, ...]] = {
-    "GROUND_M": (0.15, 0.2, 0.25),
-    "RIDGE_CONTRAST": ((0.025, 0.075), (0.05, 0.15), (0.1, 0.3)),
+    "GROUND_M": tuple(round(f * passes.GROUND_M, 4) for f in FACTORS),
+    "RIDGE_CONTRAST": tuple(tuple(f * limit for limit in surface.RIDGE_CONTRAST) for f in (0.5, 1.0, 2.0)),
 }
 """Matched clouds: height above the surface up to which points are ground, contrast up to which ridges are followed."""
 
