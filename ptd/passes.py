@@ -209,6 +209,9 @@ class Pass(ABC):
         in filtering within this distance of the rectangle that the first ones fill, in any order.
     kind : {"lidar", "dim"} or None
         What made the clouds that the pass is for: to others it does not apply. None: for all clouds.
+    raster_cell_m : float
+        Side of the cells of a raster that the pass makes of its window, over voids as well: memory follows from it. 0:
+        it makes none, memory follows from the points.
     """
 
     name: str
@@ -221,6 +224,7 @@ class Pass(ABC):
     elected: bool = False
     label_margin_m: float = 0.0
     kind: str | None = None
+    raster_cell_m: float = 0.0
 
     def applies(self, state: State) -> bool:
         """Whether the pass is done at all, given the state after the passes before; else it is passed over.

@@ -94,6 +94,7 @@ class ObjectPass(MatchedPass):
     name: str = "objects"
     columns: tuple[str, ...] = ("labels",)
     elected: bool = True
+    raster_cell_m: float = CELL_M
     reach_m: float | None = (objects.reach_cells() + surface.STIFF.reach + 1) * CELL_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Codes:
@@ -144,6 +145,7 @@ class SurfacePass(MatchedPass):
     name: str = "surface"
     columns: tuple[str, ...] = ("labels",)
     elected: bool = True
+    raster_cell_m: float = CELL_M
     reach_m: float | None = (surface.reach_cells() + 3) * CELL_M
     label_margin_m: float = voting.REACH_M
 

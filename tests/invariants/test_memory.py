@@ -20,14 +20,15 @@ from pathlib import Path
 do(Path(sys.argv[1]), Path(sys.argv[2]), **json.loads(sys.argv[3]))
 """
 WARM = """
+import sys
 from ptd.precompile import warm_filters, warm_gridding
-warm_filters("classic", lambda: None); warm_gridding("linear", lambda: None)
+warm_filters(sys.argv[1], lambda: None); warm_gridding("linear", lambda: None)
 """
 
 
 def measured_run(path: Path, out: Path, **changes: object) -> dict:
     """run.json of a serial run in a process of its own, with kernels that were compiled before."""
-    subprocess.run([sys.executable, "-c", WARM], check=True)
+    subprocess.run([sys.executable, "-c", WARM, str(changes.get("method", "classic"))], check=True)
     subprocess.run([sys.executable, "-c", MEASURED, str(path), str(out), json.dumps(changes)], check=True)
     content: dict = json.loads((out / "run.json").read_text())
     return content
@@ -52,6 +53,19 @@ def test_a_million_points_stay_within_what_was_projected(density: float, tile: s
     side = (1.6e6 / density) ** 0.5
     path = clouds.write(tmp_path / "city.laz", clouds.city(side, density, seed=4))
     assert_within(measured_run(path, tmp_path / "out", tile_size=tile, halo=80, memory="2GiB"))
+
+
+@pytest.mark.slow
+def test_rasters_of_matched_clouds_stay_within_what_was_projected(tmp_path: Path) -> None:
+    """A diagonal strip: the windows' rasters hold ten times as many cells as there are points elected."""
+    cloud = clouds.city(1000.0, 3.0, seed=5)
+    strip = abs(cloud.xyz[:, 0] - cloud.xyz[:, 1]) < 40.0
+    path = clouds.write(tmp_path / "strip.laz", cloud.take(strip))
+    content = measured_run(path, tmp_path / "out", method="auto", kind="dim", tile_size="512", memory="1GiB")
+    assert_within(content)
+    peaks = {name: stage["peak_rss_bytes"] for name, stage in content["stages"].items()}
+    filters = [peak for name, peak in peaks.items() if name.startswith("filter")]
+    assert max(filters) <= content["plan"]["projected_memory_bytes"]["filter"]
 
 
 @pytest.mark.parametrize("memory", ["1MiB", "300MiB"])

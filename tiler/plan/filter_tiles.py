@@ -100,11 +100,17 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
     if step.elected:
         column = "n_elected"
     window = lattice.hull(cells).pad(halo)
-    held = [records[cell][column] for cell in lattice.among(window, records)]
+    near = lattice.among(window, records)
+    held = [records[cell][column] for cell in near]
     area = len(held) * plan.bucket_m**2
     bucket, kept = max(records[cell]["n"] for cell in cells), 0
     if step.margin_m:
         bucket *= (1 + 2 * step.margin_m / plan.bucket_m) ** 2
         kept = held_bytes(plan.tile_memory)
-    thinned = 0.0 if step.elected else plan.candidate_cell_m  # the number of elected points is known
-    return int(BASE_BYTES + filter_bytes(sum(held), area, thinned, step) + bucket_bytes(bucket) + kept)
+    if step.raster_cell_m:
+        across = lattice.hull(near).intersection(window).area() * float(plan.meta.frame.metres_xy) ** 2
+        window_bytes = filter_bytes(sum(held), across, 0.0, step)
+    else:
+        thinned = 0.0 if step.elected else plan.candidate_cell_m  # the number of elected points is known
+        window_bytes = filter_bytes(sum(held), area, thinned, step)
+    return int(BASE_BYTES + window_bytes + bucket_bytes(bucket) + kept)

@@ -29,7 +29,7 @@ from tiler.plan.disk import emptiness_warning, too_much_between
 from tiler.plan.drawings import with_drawings
 from tiler.plan.far import LeftOut, beyond_frame, minority
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
-from tiler.plan.model import KEEP, Plan, known_kind, steps_of
+from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
 from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
 from tiler.report import earlier_statistics
 from tiler.schedule import Guards
@@ -140,7 +140,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     kind = known_kind(config, known)
     passes = _planned_passes(defaults, config, kind, notes) if defaults else ()
     steps = steps_of(passes, kind)
-    tile = config.tile_size or sizes.tile_m(memory, density, cell, steps, meta)
+    tile = config.tile_size or sizes.tile_m(memory, density, cell, likely_of(steps, kind, density), meta)
     warnings = warnings_of(filled, agreement.units, tile, [step.halo_m for step in steps])
     warnings += advice.before(filled, config, density, _own_halo(defaults))
     plan = Plan(
@@ -259,7 +259,7 @@ def _planned_passes(
     return tuple(
         PlannedPass(
             s.name, halo(s), s.reach_m is not None, s.every_point, s.elected, s.label_margin_m,
-            type(s).applies is not Pass.applies, s.kind,
+            type(s).applies is not Pass.applies, s.kind, s.raster_cell_m,
         )
         for s in params.passes
     )  # fmt: skip

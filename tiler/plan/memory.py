@@ -15,7 +15,8 @@ BASE_BYTES = 260 << 20
 READ_BYTES = 60
 """Per candidate that a window reads: columns and sorting."""
 VERTEX_BYTES = 200
-"""Per candidate that may become a vertex: its columns while it is tested, and its share of the TIN."""
+"""Per candidate that may become a vertex: its columns while it is tested, and its share of the TIN. Per cell of a
+raster: 35 to look for large objects, 180 to make the surface (measured)."""
 BUCKET_POINT_BYTES = 200
 """Per point while its bucket is labelled."""
 HELD_BYTES, HELD_SHARE = 64 << 20, 16
@@ -52,6 +53,8 @@ class PlannedPass:
         It does not always apply (`ptd.passes.Pass.applies`).
     kind : str or None
         What made the clouds that it is for (`ptd.passes.Pass.kind`); None: for all.
+    raster_cell_m : float
+        Side of the cells of the raster that it makes of its window (`ptd.passes.Pass.raster_cell_m`); 0: none.
     """
 
     name: str
@@ -62,6 +65,7 @@ class PlannedPass:
     margin_m: float = 0.0
     sometimes: bool = False
     kind: str | None = None
+    raster_cell_m: float = 0.0
 
 
 def nested(cell_m: float) -> bool:
@@ -72,7 +76,8 @@ def nested(cell_m: float) -> bool:
 def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass) -> float:
     """Bytes, above `BASE_BYTES`, that a window of a pass needs.
 
-    Elected points are reckoned as one in each thinning cell at most: how many there are is known later.
+    Elected points are reckoned as one in each thinning cell at most: how many there are is known later. A raster has
+    all cells of the window, whatever it holds.
 
     Parameters
     ----------
@@ -85,6 +90,8 @@ def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass
     step : PlannedPass
     """
     vertices = min(points, area_m2 / cell_m**2) if cell_m > 0 else points
+    if step.raster_cell_m:
+        vertices = area_m2 / step.raster_cell_m**2
     read = points
     if step.elected:
         read = vertices

@@ -43,12 +43,22 @@ PART = 128
 """Pixels a side of the parts into which blocks are divided where points are many."""
 
 
+LEAST_MATCHED_M2 = 2.0
+"""Sparser clouds are no matched ones if nobody says so: `auto` asks for twice as many points a square metre."""
+
+
 def known_kind(config: RunConfig, statistics: Mapping[str, Any] | None) -> str | None:
     """What made the cloud, as the user or the run whose statistics are used says; None: the points will show."""
     if statistics is None:
         return config.source_kind
     found = (state["survey"]["kind"] for state in statistics.values() if "kind" in state.get("survey", {}))
     return next(found, None)
+
+
+def likely_of(steps: Iterable[PlannedPass], kind: str | None, density: float) -> tuple[PlannedPass, ...]:
+    """The passes for which memory is needed: of those that a run may do, all that suit the density."""
+    sparse = kind is None and density < LEAST_MATCHED_M2
+    return tuple(step for step in steps if not (sparse and step.kind == "dim"))
 
 
 def steps_of(passes: Iterable[PlannedPass], kind: str | None) -> tuple[PlannedPass, ...]:
@@ -127,6 +137,11 @@ class Plan:
     def steps(self) -> tuple[PlannedPass, ...]:
         """The passes that the run may do."""
         return steps_of(self.passes, self.kind)
+
+    @property
+    def likely(self) -> tuple[PlannedPass, ...]:
+        """Those of them for which memory is needed."""
+        return likely_of(self.steps, self.kind, self.density)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -242,7 +257,7 @@ class Plan:
         """Peak bytes of a worker by stage."""
         return {
             "ingest": ingest_bytes(PIECE_POINTS, self.fullest_bucket),
-            "filter": max((self._projected_filter(step) for step in self.steps), default=0),
+            "filter": max((self._projected_filter(step) for step in self.likely), default=0),
             "grid": BASE_BYTES
             + int(min(self.points, max(self.block_points, self.fullest_part))) * GROUND_BYTES,
             "export": BASE_BYTES + EXPORT_BYTES + min(max(s.points for s in self.sources), EXPORT_POINTS),
@@ -259,12 +274,14 @@ class Plan:
         """Peak bytes of a worker with a tile of that side and halo, of the mean density or in the fullest place."""
         side = side_m + 2 * halo_m
         area = min(side**2, self.area_m2)
+        extent = self.extent.area() * float(self.meta.frame.metres_xy) ** 2
         bucket_m = self.bucket_m + 2 * step.margin_m
         points, bucket = self.density * area, self.density * bucket_m**2
         if crowded:
             points = max(points, self.crowd.fullest(side))
             bucket = max(bucket, self.crowd.fullest(bucket_m))
-        window = filter_bytes(points, area, self.candidate_cell_m, step)
+        raster = min(side**2, extent) if step.raster_cell_m else area
+        window = filter_bytes(points, raster, self.candidate_cell_m, step)
         held = held_bytes(self.memory) if step.margin_m else 0
         return int(BASE_BYTES + window + bucket_bytes(bucket) + held)
 

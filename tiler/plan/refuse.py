@@ -160,7 +160,7 @@ def _instead(plan: Plan, stage: str) -> str:
         return ""
 
     def fits(side: float, halo: float) -> bool:
-        halos = {step: step.halo_m if step.fixed else halo for step in plan.steps}
+        halos = {step: step.halo_m if step.fixed else halo for step in plan.likely}
         return all(plan.filter_peak(s, side, h, crowded=True) <= plan.memory for s, h in halos.items())
 
     count = int(float(plan.tile) // plan.bucket_m)

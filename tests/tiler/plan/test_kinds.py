@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from fractions import Fraction
 
+from ptd.matched.cells import CELL_M
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
+from tiler.core.lattice import Cell
 from tiler.plan import make_plan, plan_json, plan_lines
+from tiler.plan.filter_tiles import tiles_of
+from tiler.plan.memory import BASE_BYTES, VERTEX_BYTES
 
 
 def test_passes_of_another_kind_are_not_reckoned_with(make_cloud: MakeCloud) -> None:
@@ -37,3 +41,17 @@ def test_passes_of_another_kind_are_not_reckoned_with(make_cloud: MakeCloud) -> 
     known = replace(unknown, statistics={"survey": {"survey": {"kind": "lidar"}}})
     assert known.steps == laser.steps
     assert known.margin == laser.margin
+
+
+def test_rasters_of_windows_take_room_over_voids(make_cloud: MakeCloud) -> None:
+    """Two buckets 2 km apart: one tile as points alone count, but the raster between them does not fit."""
+    plan = make_plan([str(make_cloud())], RunConfig(kind="dim", memory=16 << 30, in_process=True))
+    plan = replace(plan, tile=Fraction(4000))
+    surface = next(step for step in plan.passes if step.name == "surface")
+    apart = round(2000 / plan.bucket_m)
+    records = {Cell(0, 0): {"n": 9, "n_elected": 9}, Cell(apart, apart): {"n": 9, "n_elected": 9}}
+    cells = (2000 / CELL_M) ** 2
+    small = replace(plan, tile_memory=BASE_BYTES + round(cells * VERTEX_BYTES))
+    assert len(list(tiles_of(small, records, surface))) == 2
+    assert len(list(tiles_of(replace(plan, tile_memory=4 * small.tile_memory), records, surface))) == 1
+    assert len(list(tiles_of(small, records, replace(surface, raster_cell_m=0.0)))) == 1
