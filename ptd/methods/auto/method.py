@@ -14,11 +14,11 @@ seeds
 densify
     the TIN of the seeds takes in objects' cells that fit (`ptd.ground.densify`): edges and tops that the openings cut.
 refine
-    densified cells that rise from the ground found are taken out again (roofs that were climbed), then all that rises
-    from ground whose trend was taken off (walls, cars, shrubs on slopes), and what still does among what is left.
+    what rises from ground whose mean was taken off is no ground (walls, cars, shrubs on slopes, roofs that were
+    climbed), and once more what still does among the ground that is left.
 roofs
     ground that is connected, at most 200 m wide, and above nearly all ground that is seen around it is a roof
-    (`plateaus`); three times, as lower roofs lean on higher ones.
+    (`plateaus`); twice, as lower roofs lean on higher ones.
 label
     each point against the TIN of the ground that is left, by its height.
 
@@ -30,46 +30,23 @@ thin_cell             as `classic`                1 m       the terrain's detail
                                                             lower side
 low_radius, _depth,   as `classic`                5 m, 4 m, groups of more are no noise of a laser
 low_group                                         5
-seed_drop, _rise,     Pingel 2013 (slope, scale)  0.05 m,   noise; ground that rises by 0.06 beside flat ground is kept;
-_slope                                            0.06, 0.2 a fifth of the slope more on slopes
-slope_reach           ours                        9 m       boxes of 19 m see past a house's wall
-iteration_distance,   as `classic`                1.4 m,    the seeds are dense already: L1 keeps the angle small there
-_angle, terrain_                                  28, 88
-angle, edge_length_                               deg, 5 m
-reduce
+seed_rise, _slope     Pingel 2013 (slope, scale)  0.06, 0.2 ground that rises by 0.06 beside flat ground is kept; a
+                                                            fifth of the slope more on slopes
 rounds                ours                        4         more change little and carry doubt farther
-veto_drop, _rise,     ours                        0.7 m,    wider than for seeds: else all that densification adds
-_slope                                            0.2, 0.2  would be taken back
-residual_slope_reach, ours                        3 m,      without the trend slopes are local; objects are counted
-_around                                           15 m      in 31 m x 31 m
-object_trend, _size   ours                        20, 12 m  a mean over 41 m follows hills and not what stands on them;
-                                                            what is wider has been found before
-object_drop, _rise,   ours                        0.2 m,    less is within the last pass's height
-_slope                                            0.1, 0.2
-object_lack, _share   ours                        2, 0.3    where fewer of the cells around are objects', bumps are
-                                                            terrain: the threshold grows by up to 2
-bump_trend, _size,    ours                        15, 12 m, once more, among the ground that is left: its mean no longer
-_drop, _rise, _slope,                             0.1 m,    holds what was taken out: lower, and more wary of slopes
-_lack, _share                                     0.1, 0.4,
-                                                  1, 0.1
-roof_size, _cell,     ours                        200 m,    the largest halls but for those of industry; cells of 2 m
-_step, _gap                                       2, 1, 8 m bridge the gaps of sparse clouds, 1 m of step allows roofs
-                                                            of 27 degrees; parts of a roof lie among higher ones
-roof_rounds           ours                        3         a hall, what leans on it, and what leans on that
-roof_view, _fall,     ours                        24 m,     past what stands around a roof; what is seen far away lies
-_slope                                            1.5 m,    lower on any hill: 0.2 m more for each metre, else it
-                                                  0.2       says nothing
-roof_share, _unseen   ours                        0.9, 0.6  terrain goes on somewhere; where most looks end in trees or
-                                                            beyond the data nothing is known
-roof_area             ours                        80 m2     what is smaller was opened before
+iteration_distance,   as `classic`                1.4 m,    the seeds are dense already: L1 keeps the angle small there
+_angle, edge_length_                              28 deg,
+reduce                                            5 m
+object_size, _rise    ours                        12 m, 0.1 what is wider has been found before; what rises less is
+                                                            within the last pass's height
+roof_size             ours                        200 m     the largest halls but for those of industry
 label_floor           as `classic`                0.24 m    below 1 point/m2: rough ground between sparse points against
-                                                            low plants; from 2 on 0.05 m and three times the noise,
-                                                            from 0.12 m to this
+                                                            low plants; from 2 on 0.12 m, or 0.05 m and three times
+                                                            the noise that the user says, up to this
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
                                                             points/m2 on
 ====================  ==========================  ========  ============================================================
 
-The ring of virtual seeds has cells of 20 m (`ptd.ground.seeds`).
+What cannot be set, and why: `params`. The ring of virtual seeds has cells of 20 m (`ptd.ground.seeds`).
 """
 
 from __future__ import annotations
@@ -94,8 +71,9 @@ from ptd.matched import survey
 from ptd.matched.survey import Seen
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
 from ptd.methods.auto.objects import Lowest
+from ptd.methods.auto.params import RING_M, ROOF_CELL_M, ROOF_ROUNDS, AutoParameters
 from ptd.methods.auto.plateaus import on_plateaus
-from ptd.methods.auto.settings import RING_M, AutoParameters, decided, settings
+from ptd.methods.auto.settings import decided, settings
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.tin.mesh import Tin
 
@@ -120,7 +98,7 @@ class Auto(AutoParameters):
                 RoofPass(
                     self, f"roofs{n}" if n > 1 else "roofs", again=n > 1, reach_m=(self.roof_reach + 1) * cell
                 )
-                for n in range(1, self.roof_rounds + 1)
+                for n in range(1, ROOF_ROUNDS + 1)
             ),
             LabelPass(self),
             *matched.PASSES,
@@ -212,7 +190,7 @@ class RefinePass(LaserPass):
     reach_m: float | None = None
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
-        """Veto what densification climbed, then look at residuals."""
+        """Take the ground's mean off and look at what rises, twice."""
         p = self.params
         cells = Cells.of(p.thin_cell_m, scale)
         x, y, z, before = lowest_points(points, cells)
@@ -229,8 +207,6 @@ class RefinePass(LaserPass):
 def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
     """Which cells stay ground: bool [n]."""
     ground = (codes == SEED) | (codes == DENSIFIED)
-    if (codes == DENSIFIED).any():
-        ground &= ~((codes == DENSIFIED) & low.steep_objects(ground, p.veto_drop, p.shape))
     ground &= ~low.residual_objects(ground, codes != OUTLIER, p.objects)
     stays: Bool = ground & ~low.residual_objects(ground, ground, p.bumps)
     return stays
@@ -249,7 +225,7 @@ class RoofPass(LaserPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Look around each connected surface."""
         p = self.params
-        cells, wide, rule = Cells.of(p.thin_cell_m, scale), Cells.of(p.roof_cell_m, scale), p.plateaus(scale)
+        cells, wide, rule = Cells.of(p.thin_cell_m, scale), Cells.of(ROOF_CELL_M, scale), p.plateaus(scale)
         x, y, z, codes = lowest_points(points, cells)
         ground, before = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):

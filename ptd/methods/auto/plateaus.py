@@ -5,8 +5,7 @@ ends, a ramp. So a roof is a whole connected surface, or nothing of it is: no op
 than a limit is terrain, whatever lies beyond; so nothing farther than a fixed reach has a part in the answer.
 
 Lower roofs lean on higher ones: beside a hall they see what does not fall. So it is done again without the roofs found
-before, over which looks go on; and what begins beside such a roof is no terrain however small it is, if most of what is
-seen around it lies below.
+before, over which rays go on.
 
 Where the border of the data cuts a surface, it may go on: a narrower limit holds, and what reaches opposite borders is
 terrain, as an embankment across a corridor is.
@@ -30,15 +29,12 @@ _EAST = (1, 0, -1, 0, 1, -1, -1, 1)
 _NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
 """Steps to the eight neighbours of a cell."""
 
-_AREA, _FALLS, _OTHERS, _PAST, _JOINED, _UNSEEN, _BORDER = range(7)
+_AREA, _FALLS, _OTHERS, _PAST, _UNSEEN, _BORDER = range(6)
 """What is counted of each surface; from the last on, looks along each of the eight ways that leave the data."""
 
 BESIDE = 2
-"""So many cells from a roof that was found before, or fewer, lies what leans on it."""
-LEANING = 0.2
-"""Share of the looks around that begin beside such a roof from which on a surface of any size leans on it."""
-MOST = 0.5
-"""For what leans on a roof `Plateaus.share` is this: higher parts of the same building may be around it."""
+"""A ray that starts within so many cells of a roof found before, and meets nothing, is left out: what hides the ground
+there is known."""
 CUT = 0.02
 """Share of the looks around that leave the data from which on a surface is cut by their border."""
 THROUGH = 3
@@ -52,31 +48,30 @@ class Plateaus:
     Attributes
     ----------
     step : float
-        Cells are of one surface where their heights differ by no more.
+        Cells are of one surface where their heights differ by no more. What lies lower by more is below it: were that
+        limit another, two flat roofs whose heights differ by something in between would keep each other as ground.
     gap : int
         Also if so many steps lie between them, along one of the eight directions, over empty cells.
     view : int
         As far is looked from each cell, along the eight directions, for what is no part of the surface.
-    fall, slope : float
-        What lies lower by more than the first and the second a cell away lies below: terrain slopes. What lies between
-        the first and both could be either; such a look says nothing.
+    slope : float
+        What lies lower by more than `step` and this for each cell of distance lies below: terrain slopes. What lies
+        between the first and both could be either; such a look says nothing.
     share : float
         Of what is seen around, so much at least lies below.
     unseen : float
         Of the looks around, so many at most meet or say nothing: walls of courtyards, trees, the border of the data;
         those that begin beside a roof found before are not among them.
-    area, widest, widest_cut : int
-        At least so many cells; at most so many columns and rows; and of what the border of the data cuts.
+    widest, widest_cut : int
+        At most so many columns and rows; and of what the border of the data cuts.
     """
 
     step: float
     gap: int
     view: int
-    fall: float
     slope: float
     share: float
     unseen: float
-    area: int
     widest: int
     widest_cut: int
 
@@ -94,7 +89,7 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
     """Which points of ground lie on surfaces above their surroundings: bool [n].
 
     That is all in cells of such surfaces; and in the cells at their edges, whose lowest point lies beside the roof,
-    what is higher than that by more than `Plateaus.fall`.
+    what is higher than that by more than `Plateaus.step`.
 
     Parameters
     ----------
@@ -113,7 +108,7 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
     data[raster.keys] = True
     roof = plateaus(heights, rule, removed.reshape(heights.shape), data.reshape(heights.shape))
     beside = maximum_filter(roof, size=3, mode="constant", cval=False)
-    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.fall
+    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.step
     found: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
     return found
 
@@ -135,20 +130,17 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
     data = heights != EMPTY if data is None else data
     limit = math.floor(rule.step) + 1  # heights are whole numbers
     surface, n = connected_surfaces(heights, limit, limit, rule.gap)
-    looks, box = _looks(heights, surface, removed, data, n, rule.view, rule.fall, rule.slope)
+    looks, box = _looks(heights, surface, removed, data, n, rule.view, rule.step, rule.slope)
     seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
     unseen = looks[:, _UNSEEN] + border.sum(axis=1)
     every = seen + unseen + looks[:, _PAST]
-    leans = looks[:, _JOINED] >= np.maximum(LEANING * every, 1)
-    share = np.where(leans, MOST, rule.share)
-    above = (seen > 0) & (looks[:, _FALLS] >= share * seen) & (unseen <= rule.unseen * every)
-    large = looks[:, _AREA] >= rule.area
+    above = (seen > 0) & (looks[:, _FALLS] >= rule.share * seen) & (unseen <= rule.unseen * every)
     wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
     cut = border.sum(axis=1) > CUT * every
     ends = wide <= np.where(cut, rule.widest_cut, rule.widest)
     opposite = np.minimum(border[:, :2], border[:, 2:4])  # east and west, north and south
     through = (opposite >= THROUGH).any(axis=1)
-    found: Bool = np.append(above & (large | leans) & ends & ~through, False)[surface]  # -1: no surface
+    found: Bool = np.append(above & ends & ~through, False)[surface]  # -1: no surface
     return found
 
 
@@ -156,7 +148,7 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
 def _looks(
     heights: Int32, surface: Int32, removed: Bool, data: Bool, n: int, view: int, fall: float, slope: float
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
-    """Of each surface: counts `_AREA` (cells) to `_JOINED` (looks that begin beside a removed roof), and its box."""
+    """Of each surface: counts `_AREA` (cells) to `_BORDER` (rays that leave the data), and its box."""
     rows, columns = heights.shape
     looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):
@@ -191,5 +183,4 @@ def _looks(
                 if met != _AREA:
                     # What hides the ground here is known: a roof.
                     looks[own, _PAST if joined and met >= _UNSEEN else met] += 1
-                    looks[own, _JOINED] += joined
     return looks, box

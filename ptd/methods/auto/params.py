@@ -1,0 +1,234 @@
+"""Parameters of `auto` for laser scans: what can be set, and the constants that need no setting.
+
+Sixteen can be set. The rest was measured (table in ``ptd/DESIGN.md``): nothing that people see in a cloud says how to
+change it, so it stands here as a constant with its reason.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from ptd.frame import Scale
+from ptd.ground.criteria import Limits
+from ptd.ground.outliers import search_margin
+from ptd.methods.auto.objects import Drop, Residuals, Shape
+from ptd.methods.auto.plateaus import Plateaus
+from ptd.methods.progressive import Progressive
+from ptd.params import check, like, parameter
+
+RING_M = 20.0
+"""Side of the cells of virtual seeds around the ground."""
+ROUND_HALO_M = 8.0
+"""How far doubt advances in a round, seldom more."""
+TERRAIN_ANGLE_DEG = 88.0
+"""Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean by 0.01 points."""
+SEED_DROP_M = 0.05
+"""Drop that needs no object when seeds are chosen: noise."""
+ROOF_ROUNDS = 2
+"""How often roofs are looked for: a hall, then what leans on it. A third time changes the mean by 0.001 points."""
+ROOF_CELL_M = 2.0
+"""Side of the cells of ground that surfaces are made of: they bridge the gaps of sparse clouds."""
+ROOF_STEP_M = 1.5
+"""Neighbours on a surface differ by no more, and what lies lower by more is below it. One value for both: with a
+smaller step two flat roofs whose heights differ by something in between would keep each other as ground."""
+ROOF_GAP_M = 8.0
+"""Neighbours are no farther apart: parts of a roof lie among higher ones."""
+ROOF_VIEW_M = 24.0
+"""How far is looked around for other ground: past what stands around a roof."""
+ROOF_SLOPE = 0.2
+"""What is seen far away lies lower on any hill: a fall has to be steeper than this."""
+ROOF_BELOW_SHARE, ROOF_UNSEEN_SHARE = 0.9, 0.6
+"""Of the ground seen around so much at least lies below; of all looks so many at most meet no ground (trees, walls of
+courtyards, the border of the data)."""
+CUT_SIZE = 0.6
+"""Share of `AutoParameters.roof_size_m` for roofs that the border of the data cuts: a terrace may go on there."""
+
+
+@dataclass(frozen=True)
+class Reaches:
+    """How far the rules for objects look, metres.
+
+    Attributes
+    ----------
+    slope_m, residual_slope_m : float
+        Slopes are between means of boxes that reach so far: past a house's wall for seeds, nearby for objects on ground
+        whose trend is taken off.
+    around_m : float
+        Objects are counted within so far: where there are few a bump is terrain.
+    object_trend_m, bump_trend_m : float
+        The mean that is taken off reaches so far: it follows hills and not what stands on them.
+    """
+
+    slope_m: float = 9.0
+    residual_slope_m: float = 3.0
+    around_m: float = 15.0
+    object_trend_m: float = 20.0
+    bump_trend_m: float = 15.0
+
+
+@dataclass(frozen=True)
+class Rise:
+    """What rises from the ground's mean like an object, beside `AutoParameters.object_rise`.
+
+    Attributes
+    ----------
+    drop_m : float
+        Drop that needs no object.
+    per_slope : float
+        Extra drop allowed per unit of slope.
+    enough : float
+        Share of objects around from which on `LACK` does not matter.
+    """
+
+    drop_m: float
+    per_slope: float
+    enough: float
+
+
+LACK = 2.0
+"""Extra rise allowed where no objects are around: a bump is likelier terrain there."""
+OBJECTS = Rise(drop_m=0.2, per_slope=0.2, enough=0.3)
+"""Among all cells: less than 0.2 m is within the last pass's height."""
+BUMPS = Rise(drop_m=0.1, per_slope=0.4, enough=0.1)
+"""Among the cells of ground that are left: their mean no longer holds what was taken out, so lower, and more wary of
+slopes."""
+
+
+@dataclass(frozen=True)
+class AutoParameters:
+    """What can be set; `ptd.methods.auto.method.Auto` adds the passes."""
+
+    max_building_size_m: float = parameter(
+        36.0, "widest object that the seeds are cleared of; wider buildings are looked for as roofs. Raise it if halls "
+        "stay in the terrain, lower it if hill tops are cut off", unit="m", minimum=2.0, maximum=1000.0,
+    )  # fmt: skip
+    thin_cell_m: float = parameter(
+        1.0, "the lowest point of a cell of this side decides for the cell; about the detail of the terrain", unit="m",
+        minimum=0.1, maximum=100.0,
+    )  # fmt: skip
+    low_radius_m: float = like(Progressive, "low_radius_m")
+    low_depth_m: float = like(Progressive, "low_depth_m")
+    low_group: int = like(Progressive, "low_group")
+    seed_rise: float = parameter(
+        0.06, "seeds: steepest drop of flat ground, metres per metre. Raise it if rough ground is lost", minimum=0.0,
+        maximum=100.0,
+    )  # fmt: skip
+    seed_slope: float = parameter(
+        0.2, "seeds: extra drop allowed per unit of slope. Raise it if ground on steep slopes is lost", minimum=0.0,
+        maximum=100.0,
+    )  # fmt: skip
+    rounds: int = parameter(
+        4, "rounds in which ground grows from the seeds; more follow steeper terrain and need a wider halo", minimum=1,
+        maximum=1000,
+    )  # fmt: skip
+    iteration_distance_m: float = like(Progressive, "iteration_distance_m")
+    iteration_angle_deg: float = like(Progressive, "iteration_angle_deg", 28.0)
+    edge_length_reduce_m: float = like(Progressive, "edge_length_reduce_m")
+    object_size_m: float = parameter(
+        12.0, "widest object (car, shrub, wall) that is taken out of the ground found", unit="m", minimum=2.0,
+        maximum=1000.0,
+    )  # fmt: skip
+    object_rise: float = parameter(
+        0.1, "steepest rise of ground above the mean around it, metres per metre. Lower it if low objects stay, raise "
+        "it if banks and bumps are lost", minimum=0.0, maximum=100.0,
+    )  # fmt: skip
+    roof_size_m: float = parameter(
+        200.0, "widest roof that is told from terrain by its edges, which fall on all sides", unit="m", minimum=2.0,
+        maximum=1000.0,
+    )  # fmt: skip
+    label_floor_m: float = like(Progressive, "label_floor_m", 0.24)
+    label_slope_m: float = parameter(
+        1.0, "last pass: extra height allowed per unit of slope", unit="m", minimum=0.0, maximum=10.0,
+    )  # fmt: skip
+
+    reaches: ClassVar[Reaches] = Reaches()
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def limits(self, scale: Scale) -> Limits:
+        """The facet test's thresholds."""
+        return Limits.of(
+            scale, distance_m=self.iteration_distance_m, angle_deg=self.iteration_angle_deg,
+            terrain_deg=TERRAIN_ANGLE_DEG, reduce_m=self.edge_length_reduce_m, stop_m=0.0,
+        )  # fmt: skip
+
+    def _cells(self, metres: float) -> int:
+        return max(round(metres / self.thin_cell_m), 1)
+
+    @property
+    def seed_drop(self) -> Drop:
+        """When a cell is no seed."""
+        return Drop(SEED_DROP_M, self.seed_rise, self.seed_slope)
+
+    @property
+    def shape(self) -> Shape:
+        """Sizes of the rule for seeds."""
+        return Shape(self._cells(self.max_building_size_m / 2), self._cells(self.reaches.slope_m))
+
+    @property
+    def objects(self) -> Residuals:
+        """When a cell rises from the ground's mean among all cells."""
+        return self._residuals(OBJECTS, self.reaches.object_trend_m)
+
+    @property
+    def bumps(self) -> Residuals:
+        """When a cell rises from the ground's mean among the cells of ground."""
+        return self._residuals(BUMPS, self.reaches.bump_trend_m)
+
+    def _residuals(self, rise: Rise, trend_m: float) -> Residuals:
+        return Residuals(
+            drop=Drop(rise.drop_m, self.object_rise, rise.per_slope), trend=self._cells(trend_m),
+            radius=self._cells(self.object_size_m / 2), slope=self._cells(self.reaches.residual_slope_m),
+            around=self._cells(self.reaches.around_m), lack=LACK, enough=rise.enough,
+        )  # fmt: skip
+
+    @property
+    def seed_reach(self) -> int:
+        """Cells beyond which nothing has a part in what a cell is after the pass `seeds`."""
+        return self.shape.reach + search_margin(self.low_radius_m, 1, self.thin_cell_m)
+
+    @property
+    def refine_reach(self) -> int:
+        """Cells beyond which nothing has a part in what a cell is after the pass `refine`."""
+        return self.objects.reach + self.bumps.reach
+
+    def plateaus(self, scale: Scale) -> Plateaus:
+        """When ground lies on a roof."""
+
+        def cells(metres: float) -> int:
+            return max(round(metres / ROOF_CELL_M), 1)
+
+        return Plateaus(
+            step=scale.counts_z(ROOF_STEP_M), gap=cells(ROOF_GAP_M), view=cells(ROOF_VIEW_M),
+            slope=scale.counts_z(ROOF_SLOPE * ROOF_CELL_M), share=ROOF_BELOW_SHARE, unseen=ROOF_UNSEEN_SHARE,
+ widest=cells(self.roof_size_m),
+            widest_cut=cells(CUT_SIZE * self.roof_size_m),
+        )  # fmt: skip
+
+    @property
+    def roof_reach(self) -> int:
+        """Cells (of thinning) beyond which nothing has a part in what a cell is after the pass `roofs`."""
+        return math.ceil((self.plateaus(Scale()).reach + 1) * ROOF_CELL_M / self.thin_cell_m)
+
+    @property
+    def halo_m(self) -> float:
+        """Two cells of the ring for the first TIN's circles, and what the rounds need."""
+        return 2.0 * RING_M + ROUND_HALO_M * min(self.rounds, 30)
+
+    @property
+    def align_m(self) -> float:
+        """Windows of TINs hold whole cells of the ring."""
+        return RING_M
+
+    @property
+    def margin_m(self) -> float:
+        """And whole thinning cells, where those do not divide the ring's."""
+        return self.thin_cell_m
+
+    @property
+    def candidate_cell_m(self) -> float:
+        """Cell of which the lowest point is the candidate."""
+        return self.thin_cell_m
