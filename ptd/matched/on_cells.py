@@ -141,6 +141,7 @@ class NearGroundPass(MatchedPass):
     elected: bool = True
     reach_m: float | None = facets.reach_m() + (surface.noise_reach_cells() + 3) * CELL_M
     label_margin_m: float = voting.REACH_M
+    raster_cell_m: float = CELL_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GroundModel:
         """Lay the TIN below the cells."""
