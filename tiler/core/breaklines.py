@@ -28,6 +28,10 @@ SHORTEST_M = Fraction(1, 50)
 """Length below which a piece is not divided any more: where lines meet at sharp angles, or lie on one another."""
 
 
+ALIKE = 10
+"""Counts by which heights of lines that meet may differ."""
+
+
 @dataclass(frozen=True, eq=False)
 class Breaklines:
     """Pieces of lines.
@@ -146,6 +150,32 @@ class Breaklines:
         """The lines that `to_json` described."""
         steps = np.frombuffer(zlib.decompress(base64.b85decode(data["pieces"])), "<i8").reshape(-1, 6)
         return cls(np.cumsum(steps, axis=0).astype(np.int64), Fraction(data["pixel"]))
+
+
+def two_heights(lines: Iterable[Counts]) -> Counts:
+    """Places where lines meet or cross at heights that differ by more than `ALIKE`: int64 (n, 4), x, y and both z."""
+    import shapely
+
+    segments = np.unique(
+        np.concatenate([np.empty((0, 6), np.int64), *(_segments(line) for line in lines)]), axis=0
+    )
+    shapes = _as_lines(segments)
+    one, other = shapely.STRtree(shapes).query(shapes, predicate="intersects")
+    one, other = one[one < other], other[one < other]
+    places = shapely.get_coordinates(
+        shapely.point_on_surface(shapely.intersection(shapes[one], shapes[other]))
+    )
+    z = [_heights_at(segments[rows], places) for rows in (one, other)]
+    found = np.rint(np.column_stack((places, *z))).astype(np.int64)
+    return np.unique(found[np.abs(z[0] - z[1]) > ALIKE], axis=0)
+
+
+def _heights_at(segments: Counts, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Heights of segments at places on them."""
+    way = segments[:, 3:] - segments[:, :3]
+    along = ((places - segments[:, :2]) * way[:, :2]).sum(axis=1) / (way[:, :2] ** 2).sum(axis=1)
+    heights: npt.NDArray[np.float64] = segments[:, 2] + along * way[:, 2]
+    return heights
 
 
 def _segments(line: Counts) -> Counts:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.breaklines import two_heights
 from tiler.core.edits import ACTIONS, FLAT, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.errors import ConfigError, InputError
@@ -38,11 +39,25 @@ def with_drawings(plan: Plan) -> Plan:
     for name in config.breaklines:
         found = _read(plan, Path(name), LINES_AND_POLYGONS, True, notes, warnings)
         lines += [_counts(feature, line) for feature in found.features for line in _lines(feature)]
+    if lines:
+        warnings += _tell_two_heights(lines)
     edits: tuple[Edit, ...] = ()
     if config.edits is not None:
         found = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
         edits = tuple(_edit(number, feature) for number, feature in enumerate(found.features, start=1))
     return replace(plan, lines=tuple(lines), edits=edits, notes=tuple(notes), warnings=tuple(warnings))
+
+
+def _tell_two_heights(lines: list[Counts]) -> list[str]:
+    """A warning where lines contradict one another."""
+    places = two_heights(lines)
+    if not len(places):
+        return []
+    x, y, low, high = (value / COUNTS_PER_UNIT for value in places[0].tolist())
+    return [
+        f"--breaklines: {len(places)} places have two heights, the first is ({x:.10g}, {y:.10g}): {low:g} and "
+        f"{high:g}; one of them holds; draw the top and the foot of a wall some centimetres apart"
+    ]
 
 
 def _read(

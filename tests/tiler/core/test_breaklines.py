@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ptd.tin import Tin
-from tiler.core.breaklines import Breaklines
+from tiler.core.breaklines import Breaklines, two_heights
 from tiler.core.lattice import Bounds, Lattice
 
 PIXEL, SHORTEST = Fraction(1000), Fraction(20)
@@ -103,6 +103,16 @@ def test_what_changes_changes_the_digests_of_its_cells_alone(lines):
 def test_round_trip(lines):
     again = Breaklines.from_json(lines.to_json())
     assert again.key == lines.key
+
+
+def test_places_with_two_heights():
+    across = line((10_000, 0, 5_000), (10_000, 20_000, 5_000))
+    level = line((0, 7_000, 5_005), (20_000, 7_000, 5_005), (20_000, 9_000, 5_005))
+    other = line((0, 12_000, 5_000), (20_000, 12_000, 5_040))
+    assert two_heights([across, level]).tolist() == []
+    assert two_heights([across, level, other]).tolist() == [[10_000, 12_000, 5_020, 5_000]]
+    assert two_heights([level, level + (0, 0, 300)])[:, :2].tolist() != []
+    assert two_heights([]).shape == (0, 4)
 
 
 def test_no_line_is_none():
