@@ -13,16 +13,15 @@ import pytest
 from tests.invariants import clouds
 from tests.invariants.clouds import Cloud
 from tests.invariants.runs import classes_by_point, computed, do, dtm, output_digests, settings, the_store
+from tests.scenes.finished import Finished
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
-from tiler.pipeline import RunResult, run
+from tiler.pipeline import run
 from tiler.simulate import DemoScene
 
 pytestmark = pytest.mark.usefixtures("small_buckets")
-
-Finished = tuple[Path, RunResult]
 
 
 @pytest.fixture

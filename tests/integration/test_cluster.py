@@ -12,9 +12,9 @@ import pytest
 
 from tests.integration.cloud import BUCKET, Cable, Cluster, blind, object_store
 from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, environment, tiler
-from tests.integration.test_interrupt import wait_for
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
+from tests.scenes.running import wait_for
 from tiler.version import __version__
 
 pytestmark = pytest.mark.slow

@@ -12,6 +12,7 @@ import pytest
 from tests.invariants import clouds
 from tests.invariants.forked import ended, forked
 from tests.invariants.runs import do, settings
+from tests.scenes.folders import content
 from tiler.errors import ConfigError, ProcessingError
 from tiler.io.locations import cloud_path, is_scratch, partial_path
 from tiler.pipeline import run
@@ -22,10 +23,6 @@ NAMES = ("dtm.tif", "run.json", "events.jsonl", "report.html", "classified/hill.
 @pytest.fixture
 def cloud(tmp_path: Path) -> Path:
     return clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 def put(out: Path, *names: str) -> dict[str, bytes]:

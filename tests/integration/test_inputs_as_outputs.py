@@ -10,9 +10,9 @@ import rasterio
 from affine import Affine
 
 from cli.main import main
-from tests.integration.test_foreign_files import content
 from tests.invariants import clouds
 from tests.invariants.runs import do
+from tests.scenes.folders import content
 from tiler.errors import ConfigError
 
 

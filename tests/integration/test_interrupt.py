@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from ptd.precompile import warm_filters, warm_gridding
 from tests.integration.command import TIMEOUT_SECONDS, command, environment, tiler
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests, the_store
+from tests.scenes.running import wait_for
 
 STAGES = ("spool", "assemble", "filter0", "grid-dtm", "export")
 OPTIONS = (
@@ -48,20 +48,6 @@ def undisturbed(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     out = tmp_path_factory.mktemp("undisturbed") / "out"
     do(cloud, out)
     return output_digests(out)
-
-
-def wait_for(out: Path, event: str, stage: str, process: subprocess.Popen[str]) -> None:
-    """Wait until an event of a stage is in the log."""
-    log = out / "events.jsonl"
-    began = time.monotonic()
-    while time.monotonic() - began < TIMEOUT_SECONDS:
-        if log.exists():
-            events = [json.loads(line) for line in log.read_text().splitlines() if line.endswith("}")]
-            if any(e["event"] == event and e.get("stage") == stage for e in events):
-                return
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.02)
-    raise AssertionError(f"no {event} of {stage}")
 
 
 Start = Callable[[Path, Path], subprocess.Popen[str]]

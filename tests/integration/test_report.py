@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from cli.main import main
-from tests.integration.test_whole_job import Finished
 from tests.invariants import clouds
 from tests.invariants.runs import do
+from tests.scenes.finished import Finished
 from tests.tiler.report import results
 from tiler.report.html import write_report
 from tiler.simulate import DemoScene

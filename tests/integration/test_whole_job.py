@@ -15,12 +15,11 @@ from ptd.matched.passes import MatchedPass
 from ptd.methods.auto.method import Auto
 from tests.integration.command import tiler
 from tests.invariants.runs import output_digests
+from tests.scenes.finished import Finished
 from tiler.apps.evaluate import evaluate_dtm, evaluate_files
-from tiler.pipeline import RunResult
 from tiler.simulate import DemoScene
 
 PASSES = sum(not isinstance(step, MatchedPass) for step in Auto().passes)  # a laser scan
-Finished = tuple[Path, RunResult]
 
 
 def test_it_succeeds_and_leaves_what_it_says(default_run: Finished, demo: DemoScene) -> None:

@@ -14,7 +14,6 @@ import pytest
 import ptd
 from ptd.methods import METHODS
 from ptd.passes import Pass
-from tests.integration.test_damaged_store import DAMAGES
 from tests.invariants import clouds
 from tests.invariants.clouds import CORNER, Cloud
 from tests.invariants.forked import ended, forked
@@ -30,6 +29,7 @@ from tests.ptd.medians import (
     SplitPass,
     SpreadPass,
 )
+from tests.scenes.damages import DAMAGES
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter.reading import TileReader
 from tiler.plan import make_plan, plan_lines, sizes

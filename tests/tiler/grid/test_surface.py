@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from tests.scenes.ground_points import islands, l_shape, scattered, void
 from tests.tiler.grid.conftest import FINAL, Scene
-from tests.tiler.grid.test_block import islands, l_shape, scattered, void
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice

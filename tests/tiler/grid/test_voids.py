@@ -8,8 +8,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from tests.scenes.ground_points import plane_points
 from tests.tiler.grid.conftest import FINAL, Scene
-from tests.tiler.grid.test_block import plane_points
 from tiler.core.lattice import Lattice
 from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec

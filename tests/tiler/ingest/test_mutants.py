@@ -12,8 +12,8 @@ import laspy
 import numpy as np
 import pytest
 
+from tests.scenes.laz_chunks import variable_chunks
 from tests.tiler.ingest.mutants import Mutant, Reading, check, mutants, read_whole
-from tests.tiler.io.las.test_reader import variable_chunks
 from tiler.errors import InputError
 from tiler.schedule import Died, Guard
 

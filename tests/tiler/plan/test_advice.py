@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.scenes.halls import ROWS, with_hall
 from tests.tiler.conftest import MakeCloud
-from tests.tiler.plan.test_roof_check import ROWS, with_hall
 from tiler.config import RunConfig
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice

@@ -11,25 +11,11 @@ import pytest
 import rasterio
 from pyproj import Transformer
 
+from tests.scenes.checkpoints import checkpoints, scattered
 from tests.tiler.apps.check.rasters import tilted, write_surface
 from tiler.apps.check import Checkpoints, PointOptions, check_dtm
 from tiler.apps.check.accuracy import bilinear, least_points, pixel_places
 from tiler.errors import ConfigError, InputError
-
-
-def checkpoints(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, kinds: list[str] | None = None, crs: str | None = None
-) -> Checkpoints:
-    n = len(z)
-    return Checkpoints(
-        np.array([x, y], float), np.asarray(z, float), tuple(kinds or ["NVA"] * n), ("",) * n,
-        tuple(str(i) for i in range(n)), crs,
-    )  # fmt: skip
-
-
-def scattered(n: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    x, y = np.random.default_rng(seed).uniform(1, 39, (2, n))
-    return x, y
 
 
 def test_bilinear_is_exact_on_a_plane(tmp_path: Path) -> None:

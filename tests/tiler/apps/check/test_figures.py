@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from tests.scenes.checkpoints import checkpoints, scattered
 from tests.tiler.apps.check.rasters import tilted, write_surface
-from tests.tiler.apps.check.test_accuracy import checkpoints, scattered
 from tiler.apps.check import check_dtm, write_figures
 from tiler.apps.check.figures import ticks
 

@@ -10,6 +10,7 @@ import lazrs
 import numpy as np
 import pytest
 
+from tests.scenes.laz_chunks import variable_chunks
 from tiler.core.classes import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.errors import InputError
 from tiler.io.las.columns import class_and_flags, colours, returns, write_classes
@@ -101,25 +102,6 @@ def test_neighbouring_ranges_are_read_one_after_the_other(
     with PointReader(header, EVERYTHING) as reader:
         parts = [reader.read(s, min(step, 260_000 - s)).tobytes() for s in range(0, 260_000, step)]
     assert b"".join(parts) == laspy.read(path).points.array.tobytes()
-
-
-def variable_chunks(path: Path, sizes: list[int], records: np.ndarray, point_format: int) -> None:
-    """Write the points of a LAZ file again in chunks of their own sizes, as COPC has them."""
-    header = read_header(path)
-    vlr = lazrs.LazVlr.new_for_compression(point_format, 0, True)
-    data = bytearray(path.read_bytes()[: header.points_offset])
-    old = next(v for v in header.vlrs if v.is_laszip)
-    assert len(vlr.record_data()) == old.length
-    data[old.payload : old.end] = vlr.record_data()
-    path.write_bytes(data)
-    with open(path, "r+b") as stream:
-        stream.seek(header.points_offset)
-        compressor = lazrs.LasZipCompressor(stream, vlr)
-        ends = np.cumsum(sizes)
-        compressor.compress_chunks(
-            [np.frombuffer(records[e - s : e].tobytes(), np.uint8) for s, e in zip(sizes, ends, strict=True)]
-        )
-        compressor.done()
 
 
 @pytest.mark.parametrize("point_format", [1, 7])
