@@ -1,6 +1,7 @@
 """What a worker needs: bytes by stage and by window, all of them from numbers of points.
 
-The factors were measured: peak resident memory of workers over the points of their windows (docs/decisions.md, "The plan").
+The factors were measured: peak resident memory of workers over the points of their windows (docs/decisions.md,
+"The plan").
 """
 
 from __future__ import annotations
