@@ -3,7 +3,7 @@
 A triangle is the same for any larger cloud if its circumcircle holds no place in doubt. A decision that used a triangle
 in doubt puts its point's place in doubt too, since the point may or may not become a vertex. So doubt grows round by
 round from the closed sides of the window, and what it has not reached is proven equal to the untiled run.
-The proof is in ``ptd/DESIGN.md``.
+The proof is in ``docs/filters.md``.
 """
 
 from __future__ import annotations

@@ -138,7 +138,7 @@ class Trial:
     A facet whose circumcircle is wider than `widest` says nothing about the ground within: its points are not
     tested. So what a window has to hold for a certain answer is bounded. A facet that is not wide is certain if its
     circle holds no place in doubt. If W's facet at a place is wide, one of U that is not would lie within 2 `widest`
-    of the place, and where no place in doubt is that near, it would be in W as well (`ptd/DESIGN.md`, Certificates);
+    of the place, and where no place in doubt is that near, it would be in W as well (`docs/filters.md`, Certificates);
     a place on an edge between the two belongs to the facet that is not wide.
 
     Parameters

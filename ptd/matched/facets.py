@@ -27,7 +27,7 @@ Float64 = npt.NDArray[np.float64]
 def reach_m() -> float:
     """Metres beyond which nothing decides on a height.
 
-    A facet is the untiled one if no vertex lies in its circle (`ptd/DESIGN.md`, Certificates), and that ends within two
+    A facet is the untiled one if no vertex lies in its circle (`docs/filters.md`, Certificates); that ends within two
     of its radii from any place in it.
     """
     return 2.0 * WIDEST_M + 1.0

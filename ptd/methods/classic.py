@@ -11,7 +11,7 @@ max_building_size   max building size: 30      20 m     003's value; larger cell
                     TerraScan 60
 terrain_angle       terrain angle: 88          88 deg   the papers' value
 iteration_angle     iteration angle: 6         25 deg   6 loses a quarter of the ground of the ISPRS samples (type
-                                                        I 24 %); figures in ``ptd/DESIGN.md``
+                                                        I 24 %); figures in ``docs/filters.md``
 iteration_distance  iteration distance: 1.4    1.4 m    the papers' value for slopes
                     (slopes), 0.8 (flat)
 edge_length_reduce  L1: 5, an illustration     5 m      keeps the wide angle from climbing onto low objects where

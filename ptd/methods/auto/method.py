@@ -4,7 +4,7 @@ A method of our own, the default: one setting for all clouds, what has to differ
 clouds (photogrammetry) heights scatter to both sides and blunders lie below, so a robust height per cell, large objects
 as wholes and a surface of limited curvature find the ground: `ptd.matched`. What follows here is for laser scans, and
 works on the lowest point of each cell of 1 m: morphological seeds, a few rounds of densification, removal of what still
-rises like an object. Figures, why there are passes and how far each sees: ``ptd/DESIGN.md``.
+rises like an object. Figures, why there are passes and how far each sees: ``docs/filters.md``.
 
 survey
     density, noise, returns, and what is seen through (`ptd.matched.survey`): laser scanning or image matching

@@ -1,6 +1,6 @@
 """Parameters of `auto` for laser scans: what can be set, and the constants that need no setting.
 
-Sixteen can be set. The rest was measured (table in ``ptd/DESIGN.md``): nothing that people see in a cloud says how to
+Sixteen can be set. The rest was measured (table in ``docs/filters.md``): nothing that people see in a cloud says how to
 change it, so it stands here as a constant with its reason.
 """
 

@@ -1,7 +1,7 @@
 """``chen2023``: seeds by a progressive morphological opening, cleaned in their TIN, then densification in batches.
 
 Paper: Chen, Wang, He, Ding and Kong (2023), Frontiers in Earth Science 10:1015153. Its six parameters are the first six
-of the table; it gives values for none of them, nor for the rest. Figures in ``ptd/DESIGN.md``.
+of the table; it gives values for none of them, nor for the rest. Figures in ``docs/filters.md``.
 
 ===================  ==========================  ========  =============================================================
 parameter            paper's name                default   reason

@@ -18,7 +18,7 @@ terrain_slope          0.3 (equation 1)                0.3       the paper's
 seed_cell              none                            15 m      "of seeds near each other the lower": one per cell
 first_spacing          4 m                             4 m       the paper's
 last_spacing           2 m, the last one told          1 m       until all are classified (3.2, step 4): figures in
-                                                                 ``ptd/DESIGN.md``
+                                                                 ``docs/filters.md``
 tins                   "several"                       8         ground grows by two cells with each; figures there
 contour_level          none, read off a plot           0.01      gives the published thresholds on like noise
 =====================  ==============================  ========  =================================================

@@ -57,7 +57,7 @@ def rim(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
     """Virtual points at the middle of each empty cell within `RING` cells of a filled one.
 
     So a circle without a vertex through a place in such a cell, or in a filled one, has at most a cell's diagonal as
-    its radius (``ptd/DESIGN.md``: the ring bounds circles). A height is that of the plane through the points of the
+    its radius (``docs/filters.md``: the ring bounds circles). A height is that of the plane through the points of the
     cells up to `REACH` away, in whole counts; it depends on nothing farther.
 
     Parameters

@@ -41,7 +41,7 @@ Such heights are sparse, and means of many points, so by equation 3 noise does n
 what it is for, ground that noise would lose, the last pass does. ``--set robust_cells=no`` gives the steps above, which
 a cloud that is taken for a laser scan gets as well.
 
-Figures are in ``ptd/DESIGN.md``. Deviations, and what the paper leaves open:
+Figures are in ``docs/filters.md``. Deviations, and what the paper leaves open:
 
 - Its seeds were picked by hand. Ours are the lowest points per cell that are in no pit (`pits`): matched clouds
   have a blunder below the ground under nearly every cell.

@@ -6,7 +6,7 @@ Remote Sensing 8(1):71 (2016); file 003. What is not in the table is `classic`'s
 parameter             paper's name and value         default   reason
 ====================  =============================  ========  =======================================================
 max_building_size     grid cell size w: 20           20 m      the paper's value. "Half of the classic's" would be 10:
-                                                               more ridges, but type II doubles (``ptd/DESIGN.md``)
+                                                               more ridges, but type II doubles (``docs/filters.md``)
 terrain_angle         maximum terrain angle t: 88    88 deg    the paper's value
 iteration_angle       maximum angle theta: 6         25 deg    `classic`'s: 6 loses the ground of sparse clouds
 iteration_distance    maximum distance d: 1.4        1.4 m     the paper's value
