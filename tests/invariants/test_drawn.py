@@ -257,6 +257,11 @@ BOX = shapely.box(0, 0, 5, 5)
 @pytest.mark.parametrize(
     ("option", "features", "told"),
     [
+        (
+            "breaklines",
+            [(shapely.LineString([(0, 0, 1), (1e10, 0, 1)]), {})],
+            "two of its vertices lie 1e+10 apart; give",
+        ),
         ("breaklines", [(LINE, {})], "has no heights; draw it in 3D, or give it a column `z`"),
         (
             "edits",

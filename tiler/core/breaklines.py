@@ -28,6 +28,8 @@ SHORTEST_M = Fraction(1, 50)
 """Length below which a piece is not divided any more: where lines meet at sharp angles, or lie on one another."""
 
 
+LONGEST_SEGMENT = 1 << 32
+"""Counts along an axis between two vertices with which a segment is divided within int64."""
 ALIKE = 10
 """Counts by which heights of lines that meet may differ."""
 
@@ -48,7 +50,7 @@ class Breaklines:
     pixel: Fraction
 
     @classmethod
-    def of(cls, lines: Iterable[Counts], pixel: Fraction, shortest: Fraction) -> Breaklines:
+    def of(cls, lines: Iterable[Counts], pixel: Fraction, shortest: Fraction, data: Bounds) -> Breaklines:
         """Divide lines.
 
         Parameters
@@ -57,10 +59,12 @@ class Breaklines:
             Vertices x, y, z in absolute counts.
         pixel, shortest : Fraction
             Counts: the longest piece, and the length below which none is divided any more.
+        data : Bounds
+            Of all points of the run; what is farther from them than pieces are long is left out.
         """
         found = [_segments(line) for line in lines]
         segments = np.unique(np.concatenate([np.empty((0, 6), np.int64), *found]), axis=0)
-        return cls(_divided(segments, float(pixel), float(shortest)), pixel)
+        return cls(_divided(segments, float(pixel), float(shortest), data.pad(int(3 * pixel))), pixel)
 
     @cached_property
     def vertices(self) -> Counts:
@@ -187,8 +191,8 @@ def _segments(line: Counts) -> Counts:
     return kept
 
 
-def _divided(segments: Counts, longest: float, shortest: float) -> Counts:
-    """Segments halved until no other one comes into the circle around a piece, sorted."""
+def _divided(segments: Counts, longest: float, shortest: float, wanted: Bounds) -> Counts:
+    """Segments halved until no other one comes into the circle around a piece, sorted; those in some bounds."""
     import shapely
 
     done = [np.empty((0, 6), np.int64)]
@@ -196,6 +200,8 @@ def _divided(segments: Counts, longest: float, shortest: float) -> Counts:
     parents, number, parts = (np.arange(len(segments)), np.zeros(len(segments), np.int64), 1)
     while len(parents):
         pieces = _part(segments[parents], number, parts)
+        inside = _touching(pieces, wanted)
+        pieces, parents, number = pieces[inside], parents[inside], number[inside]
         length = np.hypot(pieces[:, 3] - pieces[:, 0], pieces[:, 4] - pieces[:, 1])
         long = length > longest
         rows = np.flatnonzero(~long & (length > shortest))
@@ -209,6 +215,14 @@ def _divided(segments: Counts, longest: float, shortest: float) -> Counts:
     pieces = np.unique(np.concatenate(done), axis=0)
     kept: Counts = pieces[(pieces[:, 0] != pieces[:, 3]) | (pieces[:, 1] != pieces[:, 4])]
     return kept
+
+
+def _touching(pieces: Counts, bounds: Bounds) -> npt.NDArray[np.bool_]:
+    """Pieces whose own bounds touch some others."""
+    x, y = pieces[:, [0, 3]], pieces[:, [1, 4]]
+    found: npt.NDArray[np.bool_] = (x.max(axis=1) >= bounds.x0) & (x.min(axis=1) < bounds.x1)
+    found &= (y.max(axis=1) >= bounds.y0) & (y.min(axis=1) < bounds.y1)
+    return found
 
 
 def _part(segments: Counts, number: Counts, parts: int) -> Counts:

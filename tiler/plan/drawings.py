@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.breaklines import two_heights
+from tiler.core.breaklines import LONGEST_SEGMENT, two_heights
 from tiler.core.edits import ACTIONS, FLAT, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.errors import ConfigError, InputError
@@ -89,7 +89,14 @@ def _counts(feature: Feature, line: npt.NDArray[np.float64]) -> Counts:
         raise InputError(
             f"{feature.place}: a height of {line[np.abs(line[:, 2]).argmax(), 2]:g} is no terrain's"
         )
-    return np.rint(line * COUNTS_PER_UNIT).astype(np.int64)
+    counts = np.rint(line * COUNTS_PER_UNIT).astype(np.int64)
+    longest = int(np.abs(np.diff(counts[:, :2], axis=0)).max(initial=0))
+    if longest > LONGEST_SEGMENT:
+        raise InputError(
+            f"{feature.place}: two of its vertices lie {longest / COUNTS_PER_UNIT:.3g} apart; "
+            "give it coordinates of its CRS"
+        )
+    return counts
 
 
 def _edit(number: int, feature: Feature) -> Edit:

@@ -103,7 +103,7 @@ def correct(
         corrected = _labels(plan, found.edits, labels)
     if plan.lines:
         pixel = plan.meta.frame.counts(plan.resolution)
-        lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(SHORTEST_M))
+        lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(SHORTEST_M), assembled.bounds)
         job.store.put_breaklines(lines)
         job.facts["breaklines"] = {
             "lines": len(plan.lines), "vertices": len(lines.vertices), "drawn": _drawn(plan.lines),

@@ -23,7 +23,7 @@ LINES = [*WALL, BEND, SHARP]
 
 @pytest.fixture(scope="module")
 def lines():
-    return Breaklines.of(LINES, PIXEL, SHORTEST)
+    return Breaklines.of(LINES, PIXEL, SHORTEST, WINDOW)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_every_piece_is_an_edge_of_the_tin(lines, ground):
 
 
 def test_neither_order_nor_direction_of_lines_shows(lines):
-    again = Breaklines.of([LINES[i][::-1] for i in (3, 1, 0, 2)] + [BEND], PIXEL, SHORTEST)
+    again = Breaklines.of([LINES[i][::-1] for i in (3, 1, 0, 2)] + [BEND], PIXEL, SHORTEST, WINDOW)
     assert again.key == lines.key
 
 
@@ -94,10 +94,22 @@ def test_pieces_lie_on_their_lines_and_are_no_longer_than_a_pixel(lines):
 
 def test_what_changes_changes_the_digests_of_its_cells_alone(lines):
     lattice = Lattice(Fraction(16_000))
-    other = Breaklines.of([*WALL, BEND, SHARP + (0, 0, 50)], PIXEL, SHORTEST)
+    other = Breaklines.of([*WALL, BEND, SHARP + (0, 0, 50)], PIXEL, SHORTEST, WINDOW)
     before, after = lines.digests(lattice), other.digests(lattice)
     changed = {cell for cell in before.keys() | after.keys() if before.get(cell) != after.get(cell)}
     assert changed == {cell for cell in before if cell.iy == 2 and cell.ix == 1}
+
+
+def test_far_away_nothing_is_divided_and_here_nothing_changes():
+    far = line((-(10**9), 10_000, 0), (10**9, 12_000, 9_000))  # 2,000 km
+    data = Bounds(0, 0, 30_000, 30_000)
+    found = Breaklines.of([far, *LINES], PIXEL, SHORTEST, data)
+    assert len(found.pieces) < 1_000
+    wide = Breaklines.of([far, *LINES], PIXEL, SHORTEST, WINDOW)
+    inside = {tuple(p) for p in wide.pieces.tolist() if all(0 <= p[i] < 30_000 for i in (0, 1, 3, 4))}
+    assert inside == {
+        tuple(p) for p in found.pieces.tolist() if all(0 <= p[i] < 30_000 for i in (0, 1, 3, 4))
+    }
 
 
 def test_round_trip(lines):
@@ -116,7 +128,7 @@ def test_places_with_two_heights():
 
 
 def test_no_line_is_none():
-    none = Breaklines.of([line((0, 0, 0), (0, 0, 5))], PIXEL, SHORTEST)
+    none = Breaklines.of([line((0, 0, 0), (0, 0, 5))], PIXEL, SHORTEST, WINDOW)
     xyz = np.array([[1, 2], [3, 4], [5, 6]], np.int32)
     assert none.applied(xyz, WINDOW, WINDOW, (0, 0)) is xyz
     assert none.digests(Lattice(PIXEL)) == {}
