@@ -1,4 +1,4 @@
-"""Where modules are imported from: what is installed, never the folder in which a command happens to be called."""
+"""Keeps the current folder out of the import path, as data folders may hold Python files."""
 
 import os
 import sys

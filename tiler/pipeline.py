@@ -173,7 +173,7 @@ def _report(job: Job) -> dict[str, Any]:
 
 
 def _healing_stages(job: Job, until: str) -> None:
-    """The stages, and again what wrote objects of the store that turn out to be damaged."""
+    """Run the stages; where objects of the store are damaged, repair it and run them again."""
     for number in range(ROUNDS + 1):
         job.record.failed, job.record.quarantined = (
             [],
@@ -189,7 +189,7 @@ def _healing_stages(job: Job, until: str) -> None:
 
 
 def _stages(job: Job, until: str) -> None:
-    """The order of things."""
+    """Run the stages in their order, up to the last one that is wanted."""
     if job.plan.area is not None:
         job.store.put_area(job.plan.area)
     sources = numbered(job)

@@ -1,4 +1,4 @@
-"""What terminals, logs and files get of a text: no password or token of a URL, and nothing that moves a terminal."""
+"""Removes passwords, tokens and control characters from text before it is shown or stored."""
 
 from __future__ import annotations
 

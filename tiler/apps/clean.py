@@ -1,4 +1,4 @@
-"""`tiler clean`: what a run left behind and no later one needs."""
+"""`tiler clean`: removes what a run left behind and no later one needs."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ MARK = ".tiler-demo"
 
 @dataclass(frozen=True)
 class DemoResult:
-    """What came out.
+    """Result of the demonstration: scores of the labels and of the DTM.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class DemoResult:
     exit_code: int
 
     def to_json(self) -> dict[str, Any]:
-        """Everything as plain values."""
+        """The result as JSON-able values."""
         return asdict(self)
 
 

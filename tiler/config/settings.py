@@ -161,7 +161,7 @@ class RunConfig:
 
     @property
     def erosion(self) -> Fraction:
-        """`erode`, 0 where it is not said."""
+        """The setting `erode`, 0 where none is given."""
         return Fraction(0) if self.erode is None else self.erode
 
     @property

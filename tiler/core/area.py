@@ -28,7 +28,7 @@ LONGEST_EDGE = 1 << 30
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """Polygons; a place is inside if it is inside of one of them.
+    """Polygons of an area; a place is inside if it is inside of one of them.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ class Bounds:
 
     @property
     def empty(self) -> bool:
-        """No count lies inside."""
+        """Whether no count lies inside."""
         return self.x0 >= self.x1 or self.y0 >= self.y1
 
     def pad(self, counts: int) -> Bounds:
@@ -43,11 +43,11 @@ class Bounds:
         )
 
     def overlaps(self, other: Bounds) -> bool:
-        """Some count lies in both."""
+        """Whether some count lies in both."""
         return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
 
     def area(self) -> int:
-        """Square counts."""
+        """Area in square counts."""
         return max(self.x1 - self.x0, 0) * max(self.y1 - self.y0, 0)
 
     def to_json(self) -> list[int]:

@@ -40,7 +40,7 @@ def north_west(block: Block) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class RasterSpec:
-    """Owns pixel centres and transform.
+    """Place and size of a raster: its lattice, its north-west pixel, its rows and columns.
 
     Pixel ``(row, col)`` is cell ``(west + col, north - 1 - row)`` of `lattice`: its centre is
     at ``(west + col + 1/2) * size`` absolute counts east, ``(north - row - 1/2) * size`` north.

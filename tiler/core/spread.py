@@ -1,4 +1,4 @@
-"""How differences of heights are spread, exactly or in bounded memory."""
+"""Mean, RMSE and percentiles of height differences, exactly or in bounded memory."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class SpreadTally:
         self._counts = np.bincount(at.ravel(), counts, self._values.size).astype(np.int64)
 
     def summary(self) -> dict[str, float | None]:
-        """As `spread`."""
+        """Number, mean, RMSE and percentiles, as `spread` gives them."""
         if self.n == 0:
             return dict.fromkeys(NAMES)
         moments = (self._squares / self.n, self._sum / self.n, self._largest)

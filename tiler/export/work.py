@@ -144,5 +144,5 @@ class WriteClassified:
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """The buckets."""
+        """Bounds of the buckets."""
         return buckets.hull(self.cells) if self.cells else None

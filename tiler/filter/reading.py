@@ -28,13 +28,13 @@ class Bucket:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes of its columns."""
+        """Bytes that the columns of the bucket take."""
         columns = (getattr(self.points, f.name) for f in dataclasses.fields(Points))
         return int(self.which.nbytes) + sum(int(c.nbytes) for c in columns if c is not None)
 
 
 class TileReader:
-    """Reads for one task.
+    """Reads the points of a tile, and keeps buckets that are asked for again.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from tiler.schedule import NOT_IN_DIGEST
 
 @dataclass(frozen=True)
 class FilterTile:
-    """What `tiler.filter.filter_tile` does.
+    """One tile of a pass: the arguments of `tiler.filter.filter_tile`.
 
     Attributes
     ----------
@@ -57,5 +57,5 @@ class FilterTile:
     held_bytes: int = field(metadata=NOT_IN_DIGEST)
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """The core."""
+        """Bounds of the core."""
         return buckets.hull(self.cells)

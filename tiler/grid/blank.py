@@ -1,4 +1,4 @@
-"""Blocks of a raster that hold nothing any more."""
+"""Removes blocks of a raster that are to hold nothing any more."""
 
 from __future__ import annotations
 

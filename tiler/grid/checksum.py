@@ -1,4 +1,4 @@
-"""What a block's record says of its pixels."""
+"""Checksum of the pixels of a block, part of the digests of all that is made from it."""
 
 from __future__ import annotations
 

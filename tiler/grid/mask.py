@@ -1,4 +1,4 @@
-"""Where each pixel's height comes from."""
+"""The mask: whether the height of a pixel is measured, interpolated, filled or missing."""
 
 from __future__ import annotations
 

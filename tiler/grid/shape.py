@@ -21,7 +21,7 @@ ALTITUDE_DEG = 45.0
 
 
 def gradients(heights: Float64, step: float) -> tuple[Float64, Float64]:
-    """Rise to the east and to the north.
+    """Gradients of heights: rise to the east and to the north.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Where the survey is: a coarse raster of the whole run, by which a hole is told from what lies outside.
+"""Coarse raster of the extent of the survey, which tells voids inside it from what lies outside.
 
 A coarse cell is occupied if it holds a point that counts as surface. Gaps narrower than the limit of a facet's edge
 belong to the survey, as the terrain bridges them as well (a closing by a disk of half the limit); so does whatever is

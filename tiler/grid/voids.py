@@ -1,4 +1,4 @@
-"""Holes of the survey, filled beyond the limit: from the TIN of each hole's own rim.
+"""Fills voids inside the survey from the TIN of each void's rim.
 
 No halo bounds the facets over a hole, so holes are found in the whole run, by coarse cells, and each is filled from all
 pixels with a height that touch it, whichever blocks they lie in. The triangulation is unique, so blocks do not show.

@@ -31,7 +31,7 @@ class BlockWork:
     block: Block
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """The block."""
+        """Bounds of the block."""
         return self.spec.block_bounds(self.block)
 
 
@@ -203,7 +203,7 @@ class FillBlock:
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """The block."""
+        """Bounds of the block."""
         return self.rasters.spec.block_bounds(self.block)
 
 

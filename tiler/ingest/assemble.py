@@ -58,7 +58,7 @@ class BucketParts:
 
 @dataclass(frozen=True)
 class AssembleBuckets:
-    """What `assemble_buckets` does.
+    """Buckets to be gathered: the arguments of `assemble_buckets`.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class AssembleBuckets:
     skip_flags: int = WITHHELD_FLAG
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """The buckets."""
+        """Bounds of the buckets."""
         return reduce(Bounds.union, (buckets.bounds(bucket.cell) for bucket in self.buckets))
 
 

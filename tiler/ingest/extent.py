@@ -36,7 +36,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Extent:
-    """Bounds that a plan can be made with.
+    """Bounds of a file, checked against its points.
 
     Attributes
     ----------

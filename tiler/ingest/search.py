@@ -1,4 +1,4 @@
-"""Which inputs there are: the clouds of files, folders and globs, without what runs of tiler made of them."""
+"""Finds the input clouds in files, folders and globs, without files that runs of tiler wrote."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def _walk(folder: Path, note: Tell) -> Iterator[Path]:
 
 
 class _Made:
-    """Tells inputs from what runs of tiler made.
+    """Recognises files that runs of tiler wrote, which are no inputs.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ class SourceInfo:
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size of the file in bytes."""
         return self.state.size
 
     @property

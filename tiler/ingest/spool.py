@@ -30,7 +30,7 @@ _RADIX_KEYS = 1 << 16
 
 @dataclass(frozen=True)
 class SpoolPiece:
-    """What `spool_piece` does.
+    """A piece to be decoded: the arguments of `spool_piece`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Points that belong to nothing: nearly alone and far from the rest of their file, or outside of its bounds.
+"""Stray points: nearly alone and far from the rest of their file, or outside the bounds of its header.
 
 A stray is not filtered, makes no raster wider, keeps its class and is written back. Each file is judged by itself and
 whole, so tiles do not show; another file, or an island of more than a handful of points, is data wherever it lies.
@@ -22,7 +22,7 @@ from tiler.ingest.extent import FAR, few
 
 @dataclass(frozen=True)
 class Strays:
-    """Those of one source.
+    """The stray points of one source.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Strays:
 
 
 def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | None, outside: int) -> Strays:
-    """The strays of one source.
+    """Find the stray points of one source.
 
     Parameters
     ----------

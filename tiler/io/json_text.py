@@ -1,4 +1,4 @@
-"""JSON that somebody else wrote, or that a disk damaged: what is no object is one reason, never another exception."""
+"""Reads JSON of other people; whatever is no valid JSON object is a ValueError with the reason."""
 
 from __future__ import annotations
 

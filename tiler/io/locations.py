@@ -26,7 +26,7 @@ KEPT_BLOCKS = 8
 
 
 def is_url(text: str | Path) -> bool:
-    """Whether it is no path of this machine."""
+    """Whether a text is a URL and not a path of this machine."""
     return "://" in str(text)
 
 

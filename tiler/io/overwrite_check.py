@@ -1,4 +1,4 @@
-"""What a command is to write, compared with what it reads: no input is ever written over, by whatever name.
+"""Refuses to write over an input, whatever name leads to it.
 
 Every command that writes where its user says hands its targets to `check_targets`, before it writes the first of them.
 """

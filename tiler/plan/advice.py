@@ -1,4 +1,4 @@
-"""Choices that the data show to be wrong: one warning each, with the remedy. A choice that may be right has none."""
+"""Warnings, each with its remedy, where the data contradict the settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the points are thickest: a map of the density, estimated from a few points of each file."""
+"""Map of the point density, estimated from a few points of each file; finds the densest place."""
 
 from __future__ import annotations
 

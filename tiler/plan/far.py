@@ -1,4 +1,4 @@
-"""Files so far from all others that no run, or no single raster, can hold all of them: which these are, and why.
+"""Finds files so far from all others that no run, or no single raster, can hold them together.
 
 Nobody can tell absurd coordinates from a second site by the numbers alone. So nothing is left out while all of it can
 be done. Where it cannot, the part with most files is what the run is about, and others are left out if they are few
@@ -102,7 +102,7 @@ def minority(sources: Sequence[SourceInfo], wkt: str | None, metres: float, reme
 
 
 def _absurd(source: SourceInfo, metres: float) -> str | None:
-    """Why a file cannot be in any run."""
+    """Reason why no run can hold a file, or None."""
     bounds = bounds_of(source)
     x, y = bounds.x0 / COUNTS_PER_UNIT, bounds.y0 / COUNTS_PER_UNIT
     if not _fits(bounds):

@@ -1,4 +1,4 @@
-"""The filter tiles: sets of buckets, so small that the window around each fits the memory that they are cut for.
+"""Cuts the survey into filter tiles, each a set of buckets whose window fits the memory of a worker.
 
 How a tile is cut depends on the number of points in its window alone, which is known once the buckets are assembled.
 The memory is that of the first run on the store: later ones with more or less of it find the same tiles.

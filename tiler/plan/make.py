@@ -1,4 +1,4 @@
-"""Making the plan: the headers read, everything settled that can be settled from them."""
+"""Makes the plan: reads the headers and settles all that can be settled from them."""
 
 from __future__ import annotations
 

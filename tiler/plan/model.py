@@ -1,4 +1,4 @@
-"""The plan itself: what was settled, and what follows from it."""
+"""The plan: what was settled before the first point is read, and what follows from it."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class Plan:
 
     @property
     def likely(self) -> tuple[PlannedPass, ...]:
-        """Those of them for which memory is needed."""
+        """The passes for which the plan reserves memory."""
         return likely_of(self.steps, self.kind, self.density)
 
     @property

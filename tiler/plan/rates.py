@@ -1,4 +1,4 @@
-"""How long it takes: from the rates of earlier runs on this machine, which the user's cache folder remembers."""
+"""Estimates how long a run takes from earlier runs on this machine, kept in the user's cache folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What cannot work is refused here, each with what would; what is doubtful is warned of."""
+"""Refuses settings and inputs that cannot work, and names what would; warns of doubtful ones."""
 
 from __future__ import annotations
 

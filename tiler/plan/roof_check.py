@@ -87,7 +87,7 @@ def _opened(floor: Float64, side: int) -> Float64:
 
 
 def _width(heights: Float64, piece: Bools, cell_m: float, least_m: float) -> float | None:
-    """Width of a piece if steps are around it."""
+    """Width of a raised piece of terrain if its outline is mostly steps."""
     depth = ndimage.distance_transform_edt(np.pad(piece, 1))[1:-1, 1:-1]
     deepest = float(depth.max())
     width = 2 * deepest * cell_m

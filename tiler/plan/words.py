@@ -1,4 +1,4 @@
-"""The plan as people read it, and as plain values."""
+"""The plan as text for people, and as JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ KIND_WORDS = {"lidar": "a laser scan", "dim": "a matched cloud"}
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
-    """Everything as plain values."""
+    """The plan as JSON-able values."""
     frame, disk = plan.meta.frame, projected_disk(plan)
     seconds, measured = projected_seconds(plan)
     return {

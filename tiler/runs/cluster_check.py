@@ -1,4 +1,4 @@
-"""What the workers of a cluster can reach, looked at before the first task: versions, inputs, store, OUT."""
+"""Checks before the first task what the workers of a cluster can reach: versions, inputs, store, OUT."""
 
 from __future__ import annotations
 

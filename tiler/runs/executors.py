@@ -1,4 +1,4 @@
-"""Who does the tasks of a run: its workers, or workers of this machine for files that those of a cluster do not see."""
+"""Chooses the workers for the tasks of a run: those asked for, or local ones for files that these cannot see."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Cluster:
     out_seen: bool
 
     def lines(self, need_bytes: int) -> list[str]:
-        """As people read it."""
+        """The cluster in lines of text for people."""
         workers, threads = sum(m.workers for m in self.machines), sum(m.threads for m in self.machines)
         least = min(m.memory_bytes // m.threads for m in self.machines)
         found = [
@@ -46,7 +46,7 @@ class Cluster:
         return found
 
     def to_json(self) -> dict[str, Any]:
-        """As plain values."""
+        """The cluster as JSON-able values."""
         return {"machines": [asdict(machine) for machine in self.machines], "out_seen": self.out_seen}
 
 

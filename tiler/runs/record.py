@@ -125,7 +125,7 @@ class RunRecord:
 
 @cache
 def _libraries() -> dict[str, str]:
-    """Their versions; read once, as each is a file."""
+    """Versions of the libraries; read once, as each is a file."""
     return {name: version(name) for name in LIBRARIES}
 
 

@@ -48,7 +48,7 @@ class Children:
         self._ended: set[str] = set()
 
     def perform(self, run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
-        """Let a child do a task; what became of it."""
+        """Have a child process do a task, and return what became of it."""
         guard = self._take(run)
         try:
             outcome = guard.call(perform, store_url, task, seconds=run.limits.seconds_of(task))

@@ -125,7 +125,7 @@ class Guard:
             self._end()
 
     def _end(self) -> int:
-        """Let go of a child that ends; its exit code."""
+        """Wait for a child that ends and return its exit code."""
         child, self._child = self._child, None
         assert child is not None  # callers looked
         with suppress(OSError):  # what was to be written has no reader any more
@@ -162,7 +162,7 @@ def limit_memory(size_bytes: int) -> None:
 
 
 def _fate(code: int, late: bool, seconds: float) -> str:
-    """What an exit code tells, as a predicate."""
+    """What the exit code of a child says of its end, worded to follow its name."""
     if code == 1 and late:
         return f"did not end within {seconds:g} s"
     if code == -signal.SIGKILL:

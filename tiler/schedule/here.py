@@ -19,14 +19,14 @@ class QuietScheduler(distributed.Scheduler):
     """One that serves no page: there would be a port for it, open to the network."""
 
     def start_http_server(self, *arguments: Any, **options: Any) -> None:
-        """Nothing."""
+        """Start no server."""
 
 
 class QuietWorker(distributed.Worker):
-    """One that serves no page."""
+    """A Dask worker without the web page that it would serve."""
 
     def start_http_server(self, *arguments: Any, **options: Any) -> None:
-        """Nothing."""
+        """Start no server."""
 
 
 def cluster_here(workers: int) -> Any:

@@ -17,7 +17,7 @@ class SerialExecutor:
         """Nothing: this process is the one that would look."""
 
     def machines(self) -> list[Machine]:
-        """None but this one."""
+        """No machines of a cluster: tasks run in this process."""
         return []
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:

@@ -116,7 +116,7 @@ Look = Callable[[Callable[..., Any], str], None]
 
 @dataclass(frozen=True)
 class Machine:
-    """One that workers of a cluster are on.
+    """A machine of a cluster, with the workers on it.
 
     Attributes
     ----------

@@ -64,7 +64,7 @@ class _Try:
 
 
 class DaskExecutor:
-    """Bounded submission to Dask workers.
+    """Gives tasks to Dask workers, a few at a time.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class DaskExecutor:
             )
 
     def _look(self) -> None:
-        """See which workers there are."""
+        """Look which workers the cluster has."""
         self._looked = time.monotonic()
         try:
             threads: dict[str, int] = self._client.nthreads()

@@ -1,4 +1,4 @@
-"""Files of OUT that are no longer as a run wrote them: gone, changed by somebody, or damaged by a disk.
+"""Finds files of OUT that are no longer as a run wrote them: gone, changed by somebody, or damaged.
 
 Size and time tell as a rule; where the time is another one, and with ``--verify``, all bytes are read. What differs is
 put aside, not overwritten: it may be somebody's work.

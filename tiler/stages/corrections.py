@@ -37,7 +37,7 @@ FOLLOWS_LINES = "dtm"
 
 @dataclass(frozen=True)
 class Corrections:
-    """What holds besides labels.
+    """Corrections and breaklines of a run, applied on top of the labels.
 
     Attributes
     ----------

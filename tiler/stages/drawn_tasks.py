@@ -24,7 +24,7 @@ SPOT_REACH_M, WIDEST_REACH = 50, 256
 
 
 def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
-    """One for each file."""
+    """One task for each vector file."""
     plan, config = g.plan, g.plan.config
     terrain, interval = final("dtm", config), config.contour_interval
     common: dict[str, Any] = {

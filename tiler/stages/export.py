@@ -35,7 +35,7 @@ def export(
     labels: dict[Cell, str],
     corrections: Corrections,
 ) -> None:
-    """The files that people open."""
+    """Write the files that people open: rasters, vectors, classified clouds."""
     out, config = job.products, job.plan.config
     digest = digest_of(sorted(source.content for source in sources))
     tasks = [*cog_tasks(gridding, Inputs.of(sources, spooled), digest, out), *drawn_tasks(gridding, out)]

@@ -33,7 +33,7 @@ class Inputs:
 
     @classmethod
     def of(cls, sources: Iterable[Source], spooled: Commits) -> Inputs:
-        """From the commits of the pieces."""
+        """The inputs of each bucket, from the commits of the pieces."""
         found: dict[Cell, set[str]] = defaultdict(set)
         records = by_source(spooled)
         for source in sources:
@@ -43,7 +43,7 @@ class Inputs:
         return cls(found)
 
     def digest(self, cells: Iterable[Cell]) -> str:
-        """Of those with points in some buckets."""
+        """Digest of the inputs that have points in some buckets."""
         return digest_of(sorted(set().union(*(self.of_bucket.get(cell, ()) for cell in cells))))
 
 
@@ -57,7 +57,7 @@ class Sheet:
 
 
 def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
-    """One for each file.
+    """One task for each raster file.
 
     The tag of a sheet names the inputs that have points in it, and its digest the blocks that it is made of: another
     input makes new sheets where it lies.

@@ -1,4 +1,4 @@
-"""Which inputs a run has: each with a number that stays its own in the store, and the digest of its bytes.
+"""Gives each input a number that it keeps in the store, and takes the digest of its bytes.
 
 All bytes of a file are read once for its digest, by the workers, where the data are near; again only where its size,
 its time or the bytes before its points are others than before. So a file that was touched or copied is known again.
@@ -122,7 +122,7 @@ def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
 
 
 def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:
-    """Large files alone, small ones together."""
+    """Tasks that read files: large ones alone, small ones together."""
     group: list[File] = []
     for file in files:
         full = sum(state.size for _, state, _ in group) + file[1].size > GROUP_BYTES

@@ -1,4 +1,4 @@
-"""Files of earlier runs in OUT: what still holds stays, the rest is put aside, so that nothing old looks current.
+"""Moves files of earlier runs that no longer hold to OUT/outdated, so that nothing old looks current.
 
 A run writes the products that it is asked for. Those of an earlier run that it is not asked for hold as long as points,
 labels and settings of the rasters are the same; else they go to ``OUT/outdated``, and so do classified files of inputs

@@ -1,4 +1,4 @@
-"""Objects of the store that are damaged or gone: whatever wrote them is taken back, and is thereby done again.
+"""Repairs the store: the task that wrote a damaged or missing object is taken back and done again.
 
 What is done again writes the same bytes, so everything else that was done stays done.
 """

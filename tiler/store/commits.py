@@ -1,4 +1,4 @@
-"""What is done: one small object per finished task, written after its data; and the state of the run."""
+"""Commits: one small object per finished task, written after its data; and the state of the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Points that a pass made: those of a bucket are the first in its rows, and so are the labels of such points."""
+"""Points that a pass elects, and their labels: a bucket's lie in the first places of its rows."""
 
 from __future__ import annotations
 

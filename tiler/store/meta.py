@@ -1,4 +1,4 @@
-"""What a store is about: frozen when it is made."""
+"""Frame, lattices and colours of a store, fixed when it is made."""
 
 from __future__ import annotations
 

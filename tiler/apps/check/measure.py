@@ -1,4 +1,4 @@
-"""All that is measured of one DTM: what a command hands to a child process, since it reads foreign files."""
+"""Runs all checks of one DTM; a command hands it to a child process, as the files are foreign."""
 
 from __future__ import annotations
 

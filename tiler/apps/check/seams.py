@@ -84,7 +84,7 @@ class Tally:
     jump_max: float = 0.0
 
     def add(self, steps: Floats, jumps: Floats) -> None:
-        """Count those that are there."""
+        """Count the steps that are known."""
         steps, jumps = steps[np.isfinite(steps)], jumps[np.isfinite(jumps)]
         self.n += steps.size
         self.jumps += jumps.size

@@ -33,7 +33,7 @@ class Points(NamedTuple):
     withheld: npt.NDArray[np.bool_]
 
     def take(self, at: npt.NDArray[Any]) -> Points:
-        """Those at an index array or mask."""
+        """The points at an index array or mask."""
         return Points(self.place[:, at], self.classes[at], self.withheld[at])
 
 

@@ -1,4 +1,4 @@
-"""What is counted of labels, and the scores that follow from it.
+"""Counts labels by true class, and computes the scores that follow.
 
 As Sithole and Vosselman define it (2004, Experimental comparison of filter algorithms for bare-Earth
 extraction from airborne laser scanning point clouds, ISPRS J. 59), with ``a`` ground kept, ``b`` ground lost,

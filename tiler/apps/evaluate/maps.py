@@ -1,4 +1,4 @@
-"""Where the errors are: cells with the kinds of errors and their shares, as GeoTIFF and PNG."""
+"""Error maps: cells with the kinds of errors and their shares, as GeoTIFF and PNG."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class ErrorGrid:
         )
 
     def coarser(self, factor: int) -> ErrorGrid:
-        """The same in cells ``factor`` times as large."""
+        """The map in cells ``factor`` times as large."""
         grid = ErrorGrid(self.cell * factor, np.flatnonzero(self._left_out).tolist())
         grid.places, grid.counts = _summed(self.places // factor, self.counts)
         return grid

@@ -1,4 +1,4 @@
-"""Rasters that somebody else made, opened so that whatever is wrong with one is an error of one line that names it."""
+"""Opens rasters of other people; whatever is wrong with one is an error of one line that names it."""
 
 from __future__ import annotations
 

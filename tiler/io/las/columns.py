@@ -20,7 +20,7 @@ RGB_FORMATS = (2, 3, 5, 7, 8, 10)
 
 
 def is_legacy(point_format: int) -> bool:
-    """Formats 0 to 5: five bits of class."""
+    """Whether a point format is one of 0 to 5, which have five bits of class."""
     return point_format < 6
 
 

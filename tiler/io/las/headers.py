@@ -105,7 +105,7 @@ class LasHeader:
         return min(start for start in starts if self.points_offset <= start <= self.size)
 
     def noted(self, text: str) -> LasHeader:
-        """The same with one more note."""
+        """A copy of the header with one more note."""
         return replace(self, notes=(*self.notes, text))
 
 

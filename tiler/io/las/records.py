@@ -43,17 +43,17 @@ class VariableRecord:
 
     @property
     def end(self) -> int:
-        """The first byte behind it."""
+        """Position of the first byte behind the record."""
         return self.payload + self.length
 
     @property
     def is_laszip(self) -> bool:
-        """It describes the compression of the points."""
+        """Whether the record describes the compression of the points."""
         return self.record_id == LASZIP_RECORD and self.user_id == LASZIP_USER
 
     @property
     def is_copc(self) -> bool:
-        """It belongs to the octree of a COPC file."""
+        """Whether the record belongs to the octree of a COPC file."""
         return self.user_id == COPC_USER
 
 
