@@ -236,6 +236,14 @@ def test_contours_agree_with_the_terrain_and_neither_cross_nor_break(made: Path)
                 assert not near.all()
 
 
+@pytest.mark.parametrize("classes", ["2", "8"])
+def test_level_ground_and_none_at_all_have_no_contours(classes: str, tmp_path: Path) -> None:
+    cloud = written(tmp_path / "level.laz", ground(lambda x, y: 0 * x + 20.3, number=500))
+    do(cloud, tmp_path / "out", method="keep", ground_classes=classes, products="contours,spots")
+    for name in ("contours", "spots"):
+        assert pyogrio.read_info(tmp_path / "out" / f"{name}.gpkg")["features"] == 0
+
+
 def test_spots_are_tops_and_bottoms(made: Path) -> None:
     _, _, shapes, (elevation, kind) = pyogrio.raw.read(made / "spots.gpkg")
     assert {"high", "low"} >= set(kind) != set()

@@ -85,7 +85,7 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
     """
     terrain = _terrain(store_url, work)
     low, high = terrain.relief()
-    interval = default_interval(high - low) if work.interval is None else work.interval
+    interval = _interval(work.interval, low, high)
     joiner, counts = Joiner(), np.zeros(2, np.int64)
 
     def fill(file: GeoPackage) -> None:
@@ -105,6 +105,13 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
         "interval": float(interval), "lines": int(counts[0]), "vertices": int(counts[1]), "cut": joiner.cut,
         "low": None if np.isnan(low) else low, "high": None if np.isnan(high) else high,
     }  # fmt: skip
+
+
+def _interval(given: Fraction | None, low: float, high: float) -> Fraction:
+    """The interval asked for, or that which the relief gives; a terrain without any height has none."""
+    if given is not None:
+        return given
+    return default_interval(0.0 if np.isnan(low) else high - low)
 
 
 def _lines(
@@ -151,7 +158,7 @@ def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
     """
     terrain, reach = _terrain(store_url, work), work.reach
     low, high = terrain.relief()
-    interval = default_interval(high - low) if work.interval is None else work.interval
+    interval = _interval(work.interval, low, high)
     counts = {HIGH: 0, LOW: 0}
 
     def fill(file: GeoPackage) -> None:
