@@ -12,7 +12,7 @@ import rasterio
 
 import ptd
 from tests.integration.command import tiler
-from tests.ptd.matched.test_tiles import village
+from tests.scenes.village import village
 
 
 @pytest.fixture(scope="module")

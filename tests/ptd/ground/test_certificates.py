@@ -17,11 +17,9 @@ from ptd.methods.classic import Classic
 from ptd.passes import Points
 from ptd.tin.mesh import Tin
 from tests.ptd.scenes import CM, SCENES, Cloud
+from tests.scenes.windows import SCALE, SIDE, cut, opened
 
-ORIGIN = (-7_123_456, 93_000_017)
-SCALE = Scale(Fraction(1, CM), Fraction(1, CM), ORIGIN)
 DEFAULTS = Classic()
-SIDE = 16_000
 VARIANTS = {
     "defaults": DEFAULTS,
     "mirrored": replace(DEFAULTS, terrain_angle_deg=20.0, iteration_angle_deg=15.0),
@@ -31,23 +29,6 @@ VARIANTS = {
     ),
     "no outliers, no last pass": replace(DEFAULTS, low_group=0, label_pass=False, rounds=3),
 }
-
-
-def cut(cloud: Cloud, window: Window) -> np.ndarray:
-    """Which points lie in a window."""
-    x, y = cloud[0], cloud[1]
-    return (x >= window.west) & (x < window.east) & (y >= window.south) & (y < window.north)
-
-
-def opened(cloud: Cloud, window: Window) -> Window:
-    """The sides open behind which there is no point at all."""
-    x, y = cloud[0], cloud[1]
-    return Window(
-        window.west if (x < window.west).any() else -OPEN,
-        window.south if (y < window.south).any() else -OPEN,
-        window.east if (x >= window.east).any() else OPEN,
-        window.north if (y >= window.north).any() else OPEN,
-    )
 
 
 def run(params: Classic, cloud: Cloud, window: Window, scale: Scale = SCALE) -> tuple[np.ndarray, np.ndarray]:

@@ -15,8 +15,8 @@ from ptd.matched.on_cells import NearGroundPass
 from ptd.methods import METHODS, make_params
 from ptd.passes import Points
 from tests.benchmarks.scorecard_scenes import simulated
-from tests.ptd.matched.test_tiles import NOISE_M, counts, village
 from tests.ptd.tiling import classify_tiled
+from tests.scenes.village import NOISE_M, counts, village
 from tiler.apps.evaluate import IGNORED, evaluate_labels
 
 NAMES = ("chen2023", "dong2018", "ridge2016")

@@ -13,9 +13,9 @@ from ptd.frame import Window
 from ptd.methods.classic import Classic
 from ptd.methods.rarefy import Rarefy
 from ptd.passes import Points
-from tests.ptd.ground.test_certificates import SCALE
 from tests.ptd.scenes import SCENES
 from tests.ptd.tiling import classify_tiled
+from tests.scenes.windows import SCALE
 
 FIELD = np.array([[x + 0.5, y + 0.5] for x in range(60) for y in range(60)])
 

@@ -18,9 +18,9 @@ from ptd.methods.auto.method import OBJECT, Auto
 from ptd.methods.auto.params import Reaches
 from ptd.methods.auto.settings import Seen, decided, settings
 from ptd.passes import Points
-from tests.ptd.ground.test_certificates import SCALE
 from tests.ptd.scenes import SCENES
 from tests.ptd.tiling import classify_tiled
+from tests.scenes.windows import SCALE
 
 
 class Near(Auto):

@@ -13,9 +13,9 @@ from ptd.frame import Window
 from ptd.methods.chen2023 import progressive_opening
 from ptd.methods.chen2023.method import Chen2023
 from ptd.passes import Points
-from tests.ptd.ground.test_certificates import SCALE, SIDE, cut, opened
 from tests.ptd.scenes import CM, SCENES, Cloud
 from tests.ptd.tiling import classify_tiled
+from tests.scenes.windows import SCALE, SIDE, cut, opened
 
 SMALL = Chen2023(robust_cells=False, max_building_size_m=8.0, rounds=2)
 STATE = {"tails": [-30, 60]}

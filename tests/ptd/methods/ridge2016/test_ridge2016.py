@@ -19,9 +19,9 @@ from ptd.methods.ridge2016.method import Ridge2016
 from ptd.methods.ridge2016.passes import SEED, last_round
 from ptd.passes import Points
 from ptd.tin.mesh import Tin
-from tests.ptd.ground.test_certificates import cut, opened
 from tests.ptd.scenes import CM, SCENES, Cloud
 from tests.ptd.tiling import classify_tiled
+from tests.scenes.windows import cut, opened
 
 EVERYTHING = Window.everything()
 SCALE = Scale(Fraction(1, CM), Fraction(1, CM), (-7_123_456, 93_000_017))

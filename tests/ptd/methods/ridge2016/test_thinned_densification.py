@@ -17,7 +17,7 @@ from ptd.methods.ridge2016.sorted_cells import Stacks
 from ptd.methods.ridge2016.thinned_densification import Tally, densify_thinned
 from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
-from tests.ptd.ground.test_densify import CORNERS, EVERYTHING, passes, scene
+from tests.scenes.densification import CORNERS, EVERYTHING, passes, scene
 
 Points = list[tuple[int, ...]]
 
