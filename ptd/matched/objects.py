@@ -37,8 +37,9 @@ WIDEST_M = 200.0
 TERRAIN_M, TERRAIN_FALLS = 100.0, 0.25
 """So is what is wider than this and falls at no more than this share of its rim, however little of it the hull touches:
 ridges and crests."""
-ON_HULL_M, ON_HULL_SHARE = 50.0, 0.5
-"""And what is wider than this, falls as little, and lies near the hull by this share: the ground of a small survey."""
+ON_HULL_M, ON_HULL_SHARE = 70.0, 0.5
+"""And what is wider than this both ways, falls as little, and lies near the hull by this share: the ground of a small
+survey. In a strip or a garden plants that lean on it would have too large a part."""
 INSIDE_SHARE = 0.5
 """A surface of any size is judged if so much of its rim is that of objects found before: equipment on a roof."""
 
@@ -118,7 +119,8 @@ def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Sc
     near_counts, fall_counts = round(scale.counts_z(NEAR_M)), round(scale.counts_z(FALL_M))
     counts, box = _rims(heights, surface, n, hull, removed, near_counts, fall_counts)
     area, near, rim, falls, inside, cut = counts.T
-    width_m = (np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1) * CELL_M
+    sides_m = np.stack([box[:, 1] - box[:, 0] + 1, box[:, 3] - box[:, 2] + 1]) * CELL_M
+    width_m = sides_m.max(axis=0)
     enclosed = inside > INSIDE_SHARE * rim
     large = (area * CELL_M**2 >= AREA_M2) | enclosed
     fallen = np.where(enclosed, inside + falls, falls) / np.maximum(rim, 1)
@@ -126,6 +128,6 @@ def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Sc
     around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
     objects = large & stands & (width_m <= WIDEST_M)
-    wide = (width_m > TERRAIN_M) | (width_m > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
+    wide = (width_m > TERRAIN_M) | (sides_m.min(axis=0) > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
     terrain = wide & (fallen <= TERRAIN_FALLS) & ~objects | (width_m > WIDEST_M)
     return np.append(objects, False)[surface], np.append(terrain, False)[surface]

@@ -64,7 +64,7 @@ def test_what_a_step_parts_from_the_rest_of_a_small_survey_is_ground_on_both_sid
     assert not objects.any()
 
 
-@pytest.mark.parametrize(("side", "is_terrain"), [(60, True), (40, False)])
+@pytest.mark.parametrize(("side", "is_terrain"), [(80, True), (60, False)])
 def test_the_ground_of_a_small_survey_is_terrain_ditch_or_not(side: int, is_terrain: bool) -> None:
     """Half of it lies on the stiff hull, and it does not fall: a crest beside a ditch is no plants."""
     column = np.arange(side)
