@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
 
 import ptd
 from ptd.frame import Scale
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.matched import objects, passes, surface
 from ptd.matched.hull import Hull
 from ptd.methods.auto.method import Auto
 from tests.ptd.tiling import classify_tiled
 from tests.scenes.village import counts, village
+
+
+def test_a_cloud_in_feet_has_the_labels_of_one_in_metres() -> None:
+    """US survey feet: all but points at the very limit, as heights and slopes are whole counts of either unit."""
+    xyz, _ = village()
+    foot = Fraction(1200, 3937)
+    feet = Points(np.rint(1000 * xyz.T / float(foot)).astype(np.int32))
+    found = [
+        classify_tiled(points, scale, Auto(), None, kind="dim")[0]
+        for points, scale in ((counts(xyz), Scale()), (feet, Scale(foot / 1000, foot / 1000)))
+    ]
+    assert {int(GROUND), int(UNCLASSIFIED), int(LOW_NOISE)} <= set(found[0].tolist())
+    assert (found[0] != found[1]).mean() < 1e-3
 
 
 def test_walls_roofs_crowns_and_blunders_are_no_ground() -> None:
