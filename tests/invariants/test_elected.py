@@ -361,7 +361,8 @@ def test_passes_of_another_branch_make_no_tile_smaller(file: Path, monkeypatch: 
         patch.setattr(
             Parameters, "passes", (Census(), *wide, MedianPass(), RisingPass(), SpreadPass(), MeanPass())
         )
-        assert plans() == laser
+        both = plans()
+        assert all(b[0] >= a[0] and b[1:] == a[1:] for a, b in zip(laser, both, strict=True))
 
 
 def test_statistics_of_a_run_that_did_other_passes(

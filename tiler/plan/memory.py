@@ -91,13 +91,13 @@ def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass
     step : PlannedPass
     """
     vertices = min(points, area_m2 / cell_m**2) if cell_m > 0 else points
-    if step.raster_cell_m:
-        vertices = area_m2 / step.raster_cell_m**2
     read = points
     if step.elected:
         read = vertices
     elif not step.every_point and nested(cell_m):
         read = min(points, area_m2 / float(FINE_CELL_M) ** 2)
+    if step.raster_cell_m:
+        vertices = area_m2 / step.raster_cell_m**2
     return read * READ_BYTES + vertices * VERTEX_BYTES
 
 

@@ -264,11 +264,11 @@ class Plan:
         }
 
     def _projected_filter(self, step: PlannedPass) -> int:
-        """Peak bytes of a pass: mean tile with widest halo, or fullest tile, divided until it fits or is one bucket."""
+        """Peak bytes of a pass: mean tile with widest halo or fullest one, divided until it fits or is one bucket."""
         mean = self.filter_peak(step, float(self.tile), self.widest_halo_m(step))
         whole = self.filter_peak(step, float(self.tile), step.halo_m, crowded=True)
         least = self.filter_peak(step, self.bucket_m, step.halo_m, crowded=True)
-        return max(mean, min(whole, max(self.tile_memory, least)))
+        return min(max(mean, whole), max(self.tile_memory, least))
 
     def filter_peak(self, step: PlannedPass, side_m: float, halo_m: float, crowded: bool = False) -> int:
         """Peak bytes of a worker with a tile of that side and halo, of the mean density or in the fullest place."""

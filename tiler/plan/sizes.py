@@ -101,7 +101,11 @@ def tile_m(
     """Largest tile whose windows use three quarters of the memory left after start-up.
 
     At most `TILE_M`, where the points are sparse the side of `TILE_POINTS`: a window of little work is worth no task.
+    Passes that look at every point need little around a tile, and their tiles are divided where they do not fit: the
+    others, with hundreds of metres around each, are not to have small ones for that.
     """
+    passes = tuple(passes)
+    passes = tuple(step for step in passes if not step.every_point) or passes
     budget = max(memory - BASE_BYTES, memory // 4) * 3 / 4
     sides = [
         math.sqrt(budget / filter_bytes(density, 1.0, cell_m, step)) - 2 * step.halo_m for step in passes

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from fractions import Fraction
 
 from ptd.matched.cells import CELL_M
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
-from tiler.core.lattice import Cell
+from tiler.core.lattice import Cell, Lattice
 from tiler.plan import make_plan, plan_json, plan_lines
 from tiler.plan.filter_tiles import tiles_of
 from tiler.plan.memory import BASE_BYTES, VERTEX_BYTES
+from tiler.plan.sizes import tile_m
 
 
 def test_passes_of_another_kind_are_not_reckoned_with(make_cloud: MakeCloud) -> None:
@@ -55,3 +57,18 @@ def test_rasters_of_windows_take_room_over_voids(make_cloud: MakeCloud) -> None:
     assert len(list(tiles_of(small, records, surface))) == 2
     assert len(list(tiles_of(replace(plan, tile_memory=4 * small.tile_memory), records, surface))) == 1
     assert len(list(tiles_of(small, records, replace(surface, raster_cell_m=0.0)))) == 1
+
+
+def test_passes_on_every_point_make_no_tile_smaller(make_cloud: MakeCloud) -> None:
+    """At 700 points/m2 the survey's tiles are divided; those of passes with hundreds of metres around stay 512 m."""
+    plan = make_plan([str(make_cloud())], RunConfig(kind="dim", memory=1 << 30, in_process=True))
+    meta = replace(plan.meta, bucket=Lattice(plan.meta.frame.counts(Fraction(16))))
+    plan, steps = replace(plan, meta=meta), {step.name: step for step in plan.passes}
+    assert tile_m(plan.memory, 700.0, 1.0, plan.steps, meta) == 512
+    dense = replace(plan, points=20_000_000, area_m2=2e4, tile=Fraction(512))
+    assert max(dense.projected_memory()["filter"], 600 << 20) <= plan.memory
+    side = math.ceil(512 / plan.bucket_m)
+    n = round(700 * plan.bucket_m**2)
+    records = {Cell(ix, iy): {"n": n, "n_elected": n // 700} for ix in range(side) for iy in range(side)}
+    assert len(list(tiles_of(dense, records, steps["survey"]))) > 4
+    assert len(list(tiles_of(dense, records, steps["objects"]))) == 1
