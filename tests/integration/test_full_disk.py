@@ -94,6 +94,8 @@ STAGES = (
     "filter0",
     "grid-dtm",
     "grid-slope",
+    "grid-survey",
+    "grid-dtm-outlined",
     "grid-mask",
     "export",
     "mosaic",

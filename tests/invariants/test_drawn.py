@@ -173,6 +173,8 @@ def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_
     assert done == {
         "edits": 1,
         "grid-dtm": 1,
+        "grid-dtm-outlined": 1,
+        "grid-occupancy": 1,
         "export": 2,
     }  # one of four blocks; the raster and one of four clouds
     changed = {name for name, digest in digests(tmp_path / "out").items() if digest != before[name]}

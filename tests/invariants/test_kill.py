@@ -77,6 +77,8 @@ EVERY = (
     "filter0",
     "grid-dtm",
     "grid-slope",
+    "grid-survey",
+    "grid-dtm-outlined",
     "grid-mask",
     "export",
     "mosaic",

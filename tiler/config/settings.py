@@ -90,6 +90,9 @@ class RunConfig:
         None, "heights are averaged for the contours by a Gaussian of this standard deviation; 0: not at all; default: "
         "2 pixels", unit="m", kind="length",
     )  # fmt: skip
+    outline: str = setting("survey", "where heights end: at the survey, the places with points and gaps of up to 20 m "
+                           "between them (more where points are sparse), or at the hull of facets up to `max-edge`",
+                           kind="choice", choices=("survey", "hull"))  # fmt: skip
     spike: Fraction = setting(Fraction(5), "the DSM leaves out a pixel's highest return if it rises this far above "
                               "all returns around it (next pixels, at least 1 m)", unit="m", kind="length")  # fmt: skip
     memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "

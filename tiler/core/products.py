@@ -23,6 +23,11 @@ CONTOURS, SPOTS = "contours", "spots"
 DRAWN = (CONTOURS, SPOTS)
 """Products that are no rasters: lines and points of a GeoPackage each."""
 
+BEYOND, BORDER, SURVEYED, VOID = range(4)
+"""Values of a coarse cell of the survey (`tiler.grid.survey`): outside; the survey's outermost ring of cells, which its
+outline cuts, so that a pixel without a height there is no hole; inside; enclosed without points, wider than the gaps
+that are bridged."""
+
 HEIGHT = "height"
 """In place of a unit: the vertical unit of the CRS."""
 

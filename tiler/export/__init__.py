@@ -4,17 +4,20 @@ from tiler.export.classified import write_classified
 from tiler.export.cog import write_cog
 from tiler.export.contours import write_contours, write_spots
 from tiler.export.mosaic import write_mosaic
-from tiler.export.work import WriteClassified, WriteCog, WriteContours, WriteMosaic, WriteSpots
+from tiler.export.outline import write_outline
+from tiler.export.work import WriteClassified, WriteCog, WriteContours, WriteMosaic, WriteOutline, WriteSpots
 
 __all__ = [
     "WriteClassified",
     "WriteCog",
     "WriteContours",
     "WriteMosaic",
+    "WriteOutline",
     "WriteSpots",
     "write_classified",
     "write_cog",
     "write_contours",
     "write_mosaic",
+    "write_outline",
     "write_spots",
 ]

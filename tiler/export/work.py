@@ -35,6 +35,30 @@ class ProductFile:
 
 
 @dataclass(frozen=True, kw_only=True)
+class WriteOutline:
+    """The outline of the survey as polygons.
+
+    Attributes
+    ----------
+    name : str
+        Of the file.
+    survey : str
+    coarse : RasterSpec
+        Of the cells of the survey.
+    out : str
+        Folder that exists, or a URL.
+    area : str or None
+        Key in the store of the area that is wanted.
+    """
+
+    name: str
+    survey: str
+    coarse: RasterSpec
+    out: str
+    area: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class WriteCog(ProductFile):
     """A raster of the store, or a sheet of it, as one file.
 

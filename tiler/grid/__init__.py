@@ -8,6 +8,7 @@ from tiler.grid.distance import distance_block
 from tiler.grid.edits import survey_edit
 from tiler.grid.ground import GroundRule
 from tiler.grid.mask import mask_block
+from tiler.grid.outline import outline_block
 from tiler.grid.surface import DEEP_M, reach_pixels, surface_block
 from tiler.grid.survey import blocks_of, occupancy_block, survey_raster
 from tiler.grid.voids import fill_block, find_voids
@@ -19,6 +20,7 @@ from tiler.grid.work import (
     GridBlock,
     MakeSurvey,
     MaskBlock,
+    OutlineBlock,
     PointsBlock,
     SurfaceBlock,
     SurveyEdit,
@@ -37,6 +39,7 @@ __all__ = [
     "GroundRule",
     "MakeSurvey",
     "MaskBlock",
+    "OutlineBlock",
     "PointsBlock",
     "SurfaceBlock",
     "SurveyEdit",
@@ -53,6 +56,7 @@ __all__ = [
     "grid_block",
     "mask_block",
     "occupancy_block",
+    "outline_block",
     "reach_pixels",
     "surface_block",
     "survey_edit",

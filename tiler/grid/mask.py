@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tiler.core.lattice import Bounds
-from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
+from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE, SURVEYED
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts
@@ -39,7 +39,8 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     nodata = np.float32(NODATA)
     heights = store.read_block(work.dtm, block) != nodata
     filled = store.read_block(work.filled, block) != nodata
-    inside = coarse_values(store, work.survey, work.coarse, spec, block) > 0
+    heights &= filled  # what the outline leaves
+    inside = coarse_values(store, work.survey, work.coarse, spec, block) >= SURVEYED
     measured = ground_counts(store, work.rule, spec, block) > 0
     mask = np.select(
         [heights & measured, heights, filled, inside], [MEASURED, INTERPOLATED, FILLED, HOLE], OUTSIDE

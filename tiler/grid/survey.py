@@ -1,9 +1,8 @@
 """Coarse raster of the extent of the survey, which tells voids inside it from what lies outside.
 
-A coarse cell is occupied if it holds a point that counts as surface. Gaps narrower than the limit of a facet's edge
-belong to the survey, as the terrain bridges them as well (a closing by a disk of half the limit); so does whatever is
-enclosed, however wide. What remains is outside: it reaches the raster's border. Being run-wide, it carries no
-certificate.
+A coarse cell is occupied if it holds a point that counts as surface. Gaps up to a width, 20 m or more (`gap_of`),
+belong to the survey (a closing by a disk of half that width); so does whatever is enclosed, however wide. What remains
+is outside: it reaches the raster's border. Being run-wide, it carries no certificate.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from tiler.core.lattice import Bounds
+from tiler.core.products import BEYOND, BORDER, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import pixel_indices
@@ -54,7 +54,7 @@ def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
 
 
 def survey_raster(store_url: str, work: MakeSurvey) -> dict[str, Any]:
-    """Write the whole raster of the survey, 1 inside, 0 outside; a `tiler.schedule.task.Work`.
+    """Write the whole raster of the survey, see `tiler.core.products.BEYOND`; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
@@ -64,38 +64,71 @@ def survey_raster(store_url: str, work: MakeSurvey) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``inside`` and ``cells``; ``blocks``: `block_runs` of the products' blocks that hold some of the survey;
-        ``checksum``.
+        ``gap`` (cells); ``inside`` and ``cells``; ``blocks``: `block_runs` of the products' blocks that hold some of
+        its inside; ``checksum``.
     """
     store, spec = open_store(store_url), work.spec
     occupied = store.read_block(work.occupancy, Block(0, 0, spec.height, spec.width)) > 0
-    found = survey_of(occupied, work.bridge)
-    inside = found.astype(np.float32)
+    gap = gap_of(occupied, work.gap, work.most_gap)
+    found = survey_of(occupied, gap).astype(np.float32)
     for b in spec.blocks(BLOCK_PIXELS):
-        store.write_block(work.name, b, inside[b.row : b.row + b.height, b.col : b.col + b.width])
+        store.write_block(work.name, b, found[b.row : b.row + b.height, b.col : b.col + b.width])
+    inside = found >= SURVEYED
     return {
+        "gap": gap,
         "inside": int(inside.sum()),
-        "cells": inside.size,
-        "blocks": block_runs(found, spec, work.pixels, BLOCK_PIXELS),
-        "checksum": checksum(inside),
+        "cells": found.size,
+        "blocks": block_runs(inside, spec, work.pixels, BLOCK_PIXELS),
+        "checksum": checksum(found),
     }
 
 
-def survey_of(occupied: Bools, bridge: float) -> Bools:
-    """The survey's cells: what is occupied, gaps narrower than ``bridge`` cells, and everything enclosed.
+LEAST_GAP = 6
+"""Cells: a narrower disk is hardly one."""
+ENOUGH_CELLS = 4
+"""Occupied cells in a square of half a gap, in the mean of those with any: from there on gaps are no accident."""
 
-    Without its outermost ring of cells, which the outline cuts: of a pixel there nobody could say on which side
-    of the outline it lies.
+
+def gap_of(occupied: Bools, gap: float, most: float) -> float:
+    """Cells of the widest gap that belongs to a survey: the usual one, doubled until points are not sparse in it.
+
+    Parameters
+    ----------
+    occupied : bool, shape (height, width)
+    gap, most : float
+        Cells: the usual one, and the widest.
     """
-    radius = bridge / 2
+    gap = max(gap, LEAST_GAP)
+    rows, cols = np.nonzero(occupied)
+    while gap < most and len(rows):
+        side = int(gap / 2)
+        squares = np.unique(rows // side * occupied.shape[1] + cols // side).size
+        if len(rows) >= ENOUGH_CELLS * squares:
+            break
+        gap *= 2
+    return min(gap, most)
+
+
+def survey_of(occupied: Bools, gap: float) -> npt.NDArray[np.uint8]:
+    """Values of the cells of a survey, see `tiler.core.products.BEYOND`.
+
+    Parameters
+    ----------
+    occupied : bool, shape (height, width)
+    gap : float
+        Cells; gaps up to this width belong to the survey. Of wider ones those that are enclosed are voids.
+    """
+    radius = gap / 2
     pad = int(np.ceil(radius)) + 1
-    padded = np.pad(occupied, pad)
-    if padded.any():
-        grown = ndimage.distance_transform_edt(~padded) <= radius
-        padded |= ndimage.distance_transform_edt(grown) > radius
-    whole = ndimage.binary_fill_holes(padded)
-    inner: Bools = ndimage.binary_erosion(whole, np.ones((3, 3), np.bool_))[pad:-pad, pad:-pad]
-    return inner
+    closed = np.pad(occupied, pad)
+    if closed.any():
+        grown = ndimage.distance_transform_edt(~closed) <= radius
+        closed |= ndimage.distance_transform_edt(grown) > radius
+    whole = ndimage.binary_fill_holes(closed)
+    inner = ndimage.binary_erosion(whole, np.ones((3, 3), np.bool_))
+    values = np.select([inner & ~closed, inner, whole], [VOID, SURVEYED, BORDER], BEYOND)
+    found: npt.NDArray[np.uint8] = values[pad:-pad, pad:-pad].astype(np.uint8)
+    return found
 
 
 def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pad: int = 0) -> Runs:

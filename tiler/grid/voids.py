@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from ptd.tin import Tin, rasterise
 from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.products import SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.grid.block import edit_heights, heights_in_units, pixels_of
 from tiler.grid.checksum import checksum
@@ -51,7 +52,7 @@ def find_voids(store_url: str, work: VoidRasters) -> dict[str, Any]:
     """
     store, spec, coarse = open_store(store_url), work.spec, work.coarse
     empty = np.zeros((coarse.height, coarse.width), np.bool_)
-    survey = store.read_block(work.survey, Block(0, 0, coarse.height, coarse.width)) > 0
+    survey = store.read_block(work.survey, Block(0, 0, coarse.height, coarse.width)) >= SURVEYED
     for block in blocks_of(block_runs(survey, coarse, spec, PIECE), spec, PIECE):
         rows, cols = np.nonzero(_void(store, work, block))
         if len(rows):
@@ -111,7 +112,7 @@ def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[n
     """Pixels without a height inside of the survey."""
     empty: npt.NDArray[np.bool_] = store.read_block(rasters.heights, block) == np.float32(NODATA)
     if empty.any():
-        empty &= coarse_values(store, rasters.survey, rasters.coarse, rasters.spec, block) > 0
+        empty &= coarse_values(store, rasters.survey, rasters.coarse, rasters.spec, block) >= SURVEYED
     return empty
 
 

@@ -136,8 +136,8 @@ class MakeSurvey:
         Of the coarse cells.
     occupancy : str
         Name of that raster.
-    bridge : float
-        Cells: the widest gap that belongs to the survey.
+    gap, most_gap : float
+        Cells: a gap that belongs to every survey, and the widest that belongs to one of sparse points.
     pixels : RasterSpec
         Of the products.
     """
@@ -145,8 +145,27 @@ class MakeSurvey:
     name: str
     spec: RasterSpec
     occupancy: str
-    bridge: float
+    gap: float
+    most_gap: float
     pixels: RasterSpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutlineBlock(BlockWork):
+    """A block of a model without the heights beyond the survey.
+
+    Attributes
+    ----------
+    heights : str
+        The model.
+    survey : str
+    coarse : RasterSpec
+        Of the cells of the survey.
+    """
+
+    heights: str
+    survey: str
+    coarse: RasterSpec
 
 
 @dataclass(frozen=True)
@@ -214,7 +233,7 @@ class MaskBlock(PointsBlock):
     Attributes
     ----------
     dtm, filled : str
-        Rasters of heights within the limit, and of those after filling (the same where nothing is).
+        Rasters of heights within the limit, and of those that people get, with holes filled and cut by the outline.
     survey : str
     coarse : RasterSpec
         Of the cells of the survey.

@@ -18,6 +18,9 @@ from tiler.redaction import without_secrets
 RUN, EVENTS, REPORT = "run.json", "events.jsonl", "report.html"
 STORE = "store.zarr"
 """Folder of the tile store, unless the user names another place."""
+OUTLINE = "outline.gpkg"
+"""The outline of the survey."""
+
 CLASSIFIED = "classified"
 """Folder of the classified clouds."""
 CHECK, EVALUATION = "check.json", "evaluate.json"

@@ -17,7 +17,17 @@ from tiler.errors import ConfigError
 from tiler.ingest import SourceInfo
 from tiler.io.locations import joined
 from tiler.io.overwrite_check import Target, check_folder, check_targets
-from tiler.io.result_folder import ASIDE, CLASSIFIED, EVENTS, REPORT, RUN, STORE, folder_here, foreign_files
+from tiler.io.result_folder import (
+    ASIDE,
+    CLASSIFIED,
+    EVENTS,
+    OUTLINE,
+    REPORT,
+    RUN,
+    STORE,
+    folder_here,
+    foreign_files,
+)
 from tiler.plan.disk import free_bytes, needed_bytes
 from tiler.plan.model import KEEP, Plan
 
@@ -95,6 +105,8 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     exported, sheets, out = plan.config.exported, plan.config.sheets is not None, folder_here(products)
     wanted = [f"{name}.{'vrt' if sheets else 'tif'}" for name in exported]
     wanted += [f"{name}.gpkg" for name in plan.config.drawn]
+    if plan.config.outline == "survey":
+        wanted.append(OUTLINE)
     if plan.config.method != KEEP:
         wanted += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
     places = [joined(products, name) for name in wanted]

@@ -47,6 +47,7 @@ class Facts(TypedDict, total=False):
     dsm: dict[str, Any]
     mask: dict[str, Any]  # pixels of each value
     contours: dict[str, Any]
+    outline: dict[str, Any]  # widest gap that counts as surveyed, pixels cut
     advice: list[str]  # choices that the data show to be wrong
     outputs: dict[
         str, int

@@ -1,4 +1,4 @@
-"""The tasks that draw the products that are no rasters: contours and spot heights."""
+"""The tasks that draw what is no raster: the outline of the survey, contours and spot heights."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from fractions import Fraction
 from typing import Any
 
 from tiler.core.products import CONTOURS, SPOTS
-from tiler.export import WriteContours, WriteSpots, write_contours, write_spots
+from tiler.export import WriteContours, WriteOutline, WriteSpots, write_contours, write_outline, write_spots
 from tiler.export.work import DrawnFile
+from tiler.io.result_folder import OUTLINE
 from tiler.schedule import Task, Work, digest_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.raster_table import final
@@ -38,6 +39,10 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
         CONTOURS: (write_contours, WriteContours(**common, sigma=float(sigma))),
         SPOTS: (write_spots, WriteSpots(**common, reach=reach)),
     }
+    if config.outline == "survey":
+        outline = WriteOutline(name=OUTLINE, survey="survey", coarse=g.coarse, out=out, area=area_key(plan))
+        digest = digest_of(__version__, outline, checksums(g.made["survey"]))
+        yield Task("export", OUTLINE, digest, write_outline, outline)
     for name in config.drawn:
         write, work = works[name]
         digest = digest_of(__version__, work, checksums(g.made[terrain]))

@@ -107,7 +107,9 @@ def _basis(gridding: Gridding) -> str:
     """What the products are made of: points, labels, and settings that more than their files' form depends on."""
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
-    return digest_of(terrain, config.voids, str(config.spike), str(config.sheets), area_key(gridding.plan))
+    return digest_of(
+        terrain, config.voids, config.outline, str(config.spike), str(config.sheets), area_key(gridding.plan)
+    )
 
 
 def _files(tasks: list[Task]) -> dict[str, str]:

@@ -25,7 +25,7 @@ from tiler.runs.worker import compute
 from tiler.schedule import Task, digest_of
 from tiler.stages.corrections import Corrections, tell_of_pixels
 from tiler.stages.gridding import Gridding, Raster
-from tiler.stages.raster_table import wanted
+from tiler.stages.raster_table import final, wanted
 from tiler.stages.raster_tasks import WHOLE
 from tiler.stages.tasks import Assembled
 from tiler.store import Commits
@@ -49,6 +49,7 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str], corrections: C
             tell_of_pixels(job, gridding.made[name])
             _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
             _advise(job, gridding.spec, gridding.made[name])
+    _tell_of_outline(job, gridding)
     if "dsm" in gridding.made:
         _tell_of_surface(job, gridding.made["dsm"])
     if "mask" in gridding.made:
@@ -138,6 +139,20 @@ def _advise(job: Job, spec: RasterSpec, made: Commits) -> None:
     job.facts["advice"] = found["texts"]
     for line in found["texts"]:
         job.listener("warning", {"text": line})
+
+
+def _tell_of_outline(job: Job, gridding: Gridding) -> None:
+    cut = gridding.made.get(final("dtm", job.plan.config), {}) if job.plan.config.outline == "survey" else {}
+    if cut:
+        pixels = sum(record["cut"] for _, record in cut.values())
+        gap = gridding.made["survey"][WHOLE][1]["gap"] * float(gridding.coarse_m)
+        job.facts["dtm"]["filled"] -= pixels
+        job.facts["outline"] = {"gap_m": gap, "cell_m": float(gridding.coarse_m), "cut_pixels": pixels}
+        if pixels:
+            job.note(
+                f"{pixels:,} pixels beyond the survey have no height: gaps in the points of up to {gap:g} m count as "
+                "surveyed (--outline hull keeps these heights)"
+            )
 
 
 def _tell_of_surface(job: Job, made: Mapping[str, Any]) -> None:

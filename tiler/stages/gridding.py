@@ -14,8 +14,10 @@ from tiler.schedule import Task, Work
 from tiler.stages.tasks import Assembled, raster_spec
 from tiler.store import Commits
 
-COARSE_SHARE = 16
-"""Coarse cells along the longest edge of a facet."""
+COARSE_CELL_M = 2
+"""Side of a coarse cell, where `--max-edge` is not small, nor a pixel larger."""
+GAP_M = 20
+"""Gaps up to this width belong to every survey: shadows of buildings, gaps between strips."""
 MAX_COARSE_CELLS = 8_000_000
 """Coarse cells of a run at most; larger runs have larger cells, so that the memory of one worker suffices."""
 
@@ -89,7 +91,7 @@ class Gridding:
     @property
     def coarse_m(self) -> Fraction:
         """Metres of a coarse cell."""
-        size = max(self.plan.config.max_edge / COARSE_SHARE, self.plan.resolution)
+        size = max(min(Fraction(COARSE_CELL_M), self.plan.config.max_edge / 4), self.plan.resolution)
         area = self.assembled.bounds.area() * self.plan.meta.frame.metres_xy**2
         while area / size**2 > MAX_COARSE_CELLS:
             size *= 2

@@ -1,8 +1,8 @@
 """All rasters that a run can make, one row each; the order in which they are made follows from their inputs.
 
 Besides the products there are rasters that only the store holds: ``occupancy`` and ``survey`` (coarse cells, see
-`tiler.grid.survey`), and for a model whose voids are filled ``<name>-voids`` (coarse cells: the number of the void)
-and ``<name>-filled`` (the model as people get it).
+`tiler.grid.survey`); for a model whose voids are filled ``<name>-voids`` (coarse cells: the number of the void)
+and ``<name>-filled``; and ``<name>-outlined``, the model as far as the survey reaches.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from tiler.grid import (
     grid_block,
     mask_block,
     occupancy_block,
+    outline_block,
     surface_block,
     survey_raster,
 )
@@ -27,6 +28,7 @@ from tiler.stages.raster_tasks import (
     distance_tasks,
     fill_tasks,
     mask_tasks,
+    outline_tasks,
     point_tasks,
     surface_tasks,
     survey_task,
@@ -40,6 +42,13 @@ MODELS = ("dtm", "dsm")
 
 def final(product: str, config: RunConfig) -> str:
     """The raster of the store that holds a product as people get it."""
+    if product in MODELS and config.outline == "survey":
+        return f"{product}-outlined"
+    return filled(product, config)
+
+
+def filled(product: str, config: RunConfig) -> str:
+    """The raster of the store that holds a product with its voids filled, if they are."""
     return f"{product}-filled" if product in MODELS and config.voids != "leave" else product
 
 
@@ -63,7 +72,7 @@ def raster_table(config: RunConfig) -> dict[str, Raster]:
         rows += [
             Raster(voids, (model, "survey"), find_voids, Grid.COARSE, voids_task),
             Raster(
-                final(model, config),
+                filled(model, config),
                 (model, "survey", voids),
                 fill_block,
                 Grid.PIXELS,
@@ -71,6 +80,9 @@ def raster_table(config: RunConfig) -> dict[str, Raster]:
                 _fill(model),
             ),
         ]
+    for model in MODELS if config.outline == "survey" else ():
+        cut, whole = final(model, config), filled(model, config)
+        rows.append(Raster(cut, (whole, "survey"), outline_block, Grid.PIXELS, outline_tasks, _fill(model)))
     return {row.name: row for row in rows}
 
 

@@ -14,6 +14,7 @@ from tiler.grid import (
     FillBlock,
     MakeSurvey,
     MaskBlock,
+    OutlineBlock,
     PointsBlock,
     SurfaceBlock,
     Void,
@@ -23,7 +24,7 @@ from tiler.grid import (
     reach_pixels,
 )
 from tiler.schedule import Task, digest_of
-from tiler.stages.gridding import Gridding, Raster
+from tiler.stages.gridding import GAP_M, Gridding, Raster
 from tiler.stages.tasks import area_key, grid_tasks, ground_rule
 from tiler.store import Commits
 from tiler.version import __version__
@@ -102,7 +103,8 @@ def survey_task(raster: Raster, g: Gridding) -> Iterator[Task]:
     """The one that makes the survey at once."""
     coarse = g.coarse
     (occupancy,) = raster.inputs
-    work = MakeSurvey(raster.name, coarse, occupancy, float(g.plan.config.max_edge / g.coarse_m), g.spec)
+    most = float(g.plan.config.max_edge / g.coarse_m)
+    work = MakeSurvey(raster.name, coarse, occupancy, float(GAP_M / g.coarse_m), most, g.spec)
     digest = digest_of(__version__, work, checksums(g.made[occupancy]))
     yield Task(raster.stage, WHOLE, digest, raster.work, work, coarse.height * coarse.width)
 
@@ -139,6 +141,19 @@ def fill_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         work = FillBlock(raster.name, block, rasters, tuple(Void(n + 1, Block(*boxes[n])) for n in mine))
         seen = [own, surveyed, [numbers, *(rims[n] for n in mine)] if mine else []]
         digest = digest_of(__version__, work, seen)
+        yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
+
+
+def outline_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block of a model."""
+    model, survey = raster.inputs
+    surveyed = checksums(g.made[survey])
+    for key, (_, record) in sorted(g.made[model].items()):
+        block = g.spec.block_named(key, BLOCK_PIXELS)
+        work = OutlineBlock(
+            name=raster.name, spec=g.spec, block=block, heights=model, survey=survey, coarse=g.coarse
+        )
+        digest = digest_of(__version__, work, record["checksum"], surveyed)
         yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
 
 

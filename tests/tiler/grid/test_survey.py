@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tiler.grid.survey import survey_of
+from tiler.core.products import BEYOND, SURVEYED, VOID
+from tiler.grid.survey import gap_of, survey_of
 
 SIDE = 160
 ROW, COL = np.mgrid[:SIDE, :SIDE]
@@ -31,6 +32,8 @@ def islands() -> np.ndarray:
     return found
 
 
+ROW_400, COL_400 = np.mgrid[:400, :400]
+
 OUTLINES = {
     "box": np.ones((SIDE, SIDE), bool),
     "rotated": rectangle(31, 130, 70),
@@ -49,7 +52,11 @@ def test_the_outline_is_found_whatever_lies_inside(name: str, bridge: int) -> No
     ragged = outline & (
         np.random.default_rng(4).random(outline.shape) < 0.7
     )  # every third cell without a point
-    inside = survey_of(ragged & ~lake, bridge)
+    values = survey_of(ragged & ~lake, bridge)
+    inside = values >= SURVEYED
+    assert (values[ndimage.binary_erosion(lake, iterations=4)] == VOID).all()
+    assert not (values[~ndimage.binary_dilation(lake, iterations=4)] == VOID).any()
+    assert (outline & (values == BEYOND)).sum() < 0.03 * outline.sum()  # cells of the border without a point
     deep = ndimage.binary_erosion(outline, iterations=4)
     assert inside[deep].all()  # the lake as well
     # Beyond the outline only what a gap of that width bridges.
@@ -59,18 +66,32 @@ def test_the_outline_is_found_whatever_lies_inside(name: str, bridge: int) -> No
         assert inside.sum() < 0.8 * inside.size
 
 
+def test_sparse_points_have_wider_gaps() -> None:
+    """Cells of 2 m, gaps of 20 m, 100 m at most: for points 1, 8 and 60 m apart."""
+    rng = np.random.default_rng(6)
+    found = []
+    for spacing in (0.5, 4, 30):
+        occupied = rng.random((400, 400)) < 1 - np.exp(-(spacing**-2))
+        gap = gap_of(occupied, 10.0, 50.0)
+        found.append(gap)
+        deep = survey_of(occupied, gap)[40:-40, 40:-40]
+        assert (deep != BEYOND).mean() > 0.99 or spacing == 30
+        assert gap_of(occupied & (ROW_400 == COL_400), 10.0, 50.0) >= gap
+    assert found == [10, 20, 50]
+
+
 def test_a_strip_fills_a_third_of_its_box() -> None:
-    assert 0.3 < survey_of(OUTLINES["strip"], 16).mean() < 0.37
+    assert 0.3 < (survey_of(OUTLINES["strip"], 16) >= SURVEYED).mean() < 0.37
 
 
 def test_a_river_to_the_border_is_inside_if_the_terrain_bridges_it() -> None:
     river = np.abs(ROW - 80) < 5
-    assert survey_of(~river, 12)[5:-5, 5:-5].all()
-    assert not survey_of(~river, 6)[80].any()
+    assert (survey_of(~river, 12)[5:-5, 5:-5] >= SURVEYED).all()
+    assert (survey_of(~river, 6)[80] == BEYOND).all()
 
 
 def test_the_cells_of_the_outline_are_not_inside() -> None:
-    inside = survey_of(OUTLINES["rotated"], 8)
+    inside = survey_of(OUTLINES["rotated"], 8) >= SURVEYED
     assert not (inside & ~ndimage.binary_erosion(OUTLINES["rotated"])).any()
 
 

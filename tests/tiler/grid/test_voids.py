@@ -48,7 +48,9 @@ def filled(make_scene, monkeypatch: pytest.MonkeyPatch) -> tuple[Scene, RasterSp
         scene.store.create_raster(name, coarse.height, coarse.width, 0)
     for b in coarse.blocks(512):
         occupancy_block(scene.store.url, PointsBlock(name="occupancy", spec=coarse, block=b, rule=FINAL))
-    survey_raster(scene.store.url, MakeSurvey("survey", coarse, "occupancy", LIMIT / 2000, spec))
+    survey_raster(
+        scene.store.url, MakeSurvey("survey", coarse, "occupancy", LIMIT / 2000, LIMIT / 2000, spec)
+    )
     rasters = VoidRasters("dtm", spec, "survey", coarse, "voids")
     record = find_voids(scene.store.url, rasters)
     voids = tuple(Void(n + 1, Block(*box)) for n, box in enumerate(record["voids"]))

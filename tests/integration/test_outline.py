@@ -1,0 +1,78 @@
+"""Heights end where the survey does, and a polygon says where that is."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from pyogrio import raw
+
+import tiler
+from tests.invariants import clouds
+from tiler.config import RunConfig
+
+SIDE = 300.0
+
+
+def land(shape: str) -> shapely.Geometry:
+    """Where points are, in metres from the corner of the scene."""
+    box, centre = shapely.box(0, 0, SIDE, SIDE), shapely.Point(150, 150)
+    bites = shapely.union_all(
+        [shapely.Point(x, y).buffer(24) for x, y in ((0, 60), (0, 200), (120, 0), (300, 250))]
+    )
+    return {
+        "ragged": box - bites - shapely.box(200, 0, 240, 120) - shapely.Point(100, 200).buffer(30),
+        "strip": shapely.LineString([(0, 0), (300, 300)]).buffer(30) & box,
+        "ring": centre.buffer(140) - centre.buffer(80),
+        "islands": shapely.Point(80, 80).buffer(60) | shapely.Point(230, 230).buffer(50),
+    }[shape]
+
+
+def make(tmp_path: Path, shape: str, **settings: object) -> tuple[np.ndarray, np.ndarray, np.ndarray, Path]:
+    """The DTM's mask of heights, and x and y of its pixels; OUT."""
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(0, SIDE, (2, 90_000))
+    inside = shapely.contains_xy(land(shape), x, y)
+    xyz = np.round(np.stack([x, y, 20 + 0.05 * x], axis=1)[inside], 3)
+    points = clouds.Cloud(xyz, np.ones(len(xyz), bool))
+    cloud = clouds.write(tmp_path / "cloud.laz", points, classes=np.full(len(xyz), 2, np.uint8))
+    out = tmp_path / "out"
+    tiler.run(
+        [cloud], out, RunConfig(method="keep", resolution=Fraction(1), in_process=True, workers=1, **settings)
+    )  # type: ignore[arg-type]
+    with rasterio.open(out / "dtm.tif") as raster:
+        heights = raster.read(1) != raster.nodata
+        rows, cols = np.mgrid[: raster.height, : raster.width]
+        west, north = raster.bounds.left - clouds.CORNER[0], raster.bounds.top - clouds.CORNER[1]
+    return heights, west + cols + 0.5, north - rows - 0.5, out
+
+
+@pytest.mark.parametrize("shape", ["ragged", "strip", "ring", "islands"])
+def test_no_height_beyond_the_survey(shape: str, tmp_path: Path) -> None:
+    heights, x, y, out = make(tmp_path, shape)
+    assert json.loads((out / "run.json").read_text())["outline"]["gap_m"] == 20
+    true = land(shape)
+    closed = true.buffer(10).buffer(-10)
+    enclosed = shapely.union_all([shapely.Polygon(part.exterior) for part in shapely.get_parts(closed)])
+    beyond = ~shapely.contains_xy(enclosed.buffer(3), x, y)  # a coarse cell is 2 m wide
+    assert not heights[beyond].any()
+    assert heights[shapely.contains_xy(true.buffer(-3), x, y)].all()
+    meta, _, shapes, _ = raw.read(out / "outline.gpkg")
+    polygons = shapely.transform(shapely.from_wkb(shapes), lambda xy: xy - clouds.CORNER[:2])
+    assert list(meta["fields"]) == ["area_m2", "void_m2", "void_percent"]
+    assert shapely.is_valid(polygons).all()
+    outline = shapely.union_all(polygons)
+    assert outline.symmetric_difference(closed).area < 0.03 * closed.area
+    holes = sum(len(p.interiors) for p in polygons)
+    assert holes == {"ragged": 1, "ring": 1}.get(shape, 0)
+
+
+def test_the_hull_can_be_asked_for(tmp_path: Path) -> None:
+    heights, x, y, out = make(tmp_path, "ragged", outline="hull")
+    assert heights[shapely.contains_xy(shapely.box(205, 10, 235, 100), x, y)].mean() > 0.9
+    assert not (out / "outline.gpkg").exists()
