@@ -1,4 +1,4 @@
-"""The one-tile wrapper: a whole cloud as one window."""
+"""Classify a cloud that fits into memory, without tiles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The highest returns of each pixel, and which of them nothing around supports."""
+"""The highest return of each pixel for a surface model, without single high points that nothing nearby supports."""
 
 from __future__ import annotations
 

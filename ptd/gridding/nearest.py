@@ -1,4 +1,6 @@
-"""The nearest points of pixel centres: points binned by pixel, searched ring by ring. Exact in integers.
+"""Find the points nearest to the centre of each pixel, exactly.
+
+Points are binned by pixel and searched ring by ring.
 
 Ties are decided by the points themselves (distance, then x, y, z), so no order, tile or frame shows.
 """

@@ -1,4 +1,4 @@
-"""Doubt: where points outside the window could change something, and which triangles that reaches.
+"""Which triangles could be others if points outside the window were known.
 
 A triangle is the same for any larger cloud if its circumcircle holds no place in doubt. A decision that used a triangle
 in doubt puts its point's place in doubt too, since the point may or may not become a vertex. So doubt grows round by

@@ -1,4 +1,4 @@
-"""Points against one fixed TIN: passed or not by distance and smallest angle, or counted in a histogram of both.
+"""Distance and smallest angle of points to a fixed TIN: as a test, or as a histogram of both.
 
 Source: Dong 2017 (004), sections 3.2 and 3.3.4.
 """

@@ -1,4 +1,4 @@
-"""The last pass: every point, vertex or not, is labelled against the finished TIN, in pieces of any size."""
+"""The last step of most methods: label every point by its height above the finished TIN."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random choices that see nothing but the points: hashes of absolute coordinates."""
+"""Random choices that are the same for any tile or order of points: hashes of coordinates."""
 
 from __future__ import annotations
 

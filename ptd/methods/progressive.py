@@ -17,7 +17,7 @@ class Progressive:
     """Outliers, seeds, facet test and final labelling."""
 
     max_building_size_m: float = parameter(
-        20.0, "side of the cells whose lowest point is a seed: the largest building", unit="m",
+        20.0, "side of the cells whose lowest point is a seed; at least the width of the largest building", unit="m",
         minimum=1.0, maximum=1000.0, source="Dong 2018, 2.1, Ridge 2016, 4.2",
     )  # fmt: skip
     terrain_angle_deg: float = parameter(
@@ -30,7 +30,8 @@ class Progressive:
     )  # fmt: skip
     iteration_distance_m: float = parameter(
         1.4,
-        "largest distance of a point to its facet",
+        "largest distance of a point to its facet. Raise it if hills and breaks are cut off, lower it if low "
+        "objects join",
         unit="m",
         minimum=0.01,
         maximum=100.0,
@@ -52,15 +53,16 @@ class Progressive:
         5.0, "low outliers: radius of the search", unit="m", minimum=1.0, maximum=50.0
     )
     low_depth_m: float = parameter(
-        4.0, "low outliers: so far below everything within the radius but their own group", unit="m",
+        4.0, "low outliers: so far below all other points within the radius", unit="m",
         minimum=0.1, maximum=100.0,
     )  # fmt: skip
     low_group: int = parameter(
-        5, "low outliers: candidates in a group at most; 0: no search", minimum=0, maximum=1000
+        5, "low outliers: largest number of points in a clump of them; 0: no search", minimum=0, maximum=1000
     )
     label_floor_m: float = parameter(
         0.3,
-        "last pass: closer to the TIN a point is ground at any angle",
+        "last pass: points closer to the TIN than this are ground at any angle. Raise it if thin ground is lost, "
+        "lower it if low plants stay",
         unit="m",
         minimum=0.0,
         maximum=10.0,

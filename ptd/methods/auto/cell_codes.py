@@ -1,4 +1,4 @@
-"""Labels that passes leave for the next one: a code for each cell of a lattice, the same for all points in it."""
+"""What a pass of `auto` leaves for the next one: a code for each cell, given to all points in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What rises from the terrain like an object, told from the minimum raster of a lattice of cells.
+"""Tell objects from terrain by how steeply the lowest points of cells drop around them.
 
 An object drops steeply: an opening with a disk a little wider than it takes away its height, where terrain loses no
 more than its slope gives. So a cell is an object's if for some radius r (in cells)::

@@ -1,4 +1,4 @@
-"""Connected surfaces of ground that lie above all that is seen around them: roofs too wide for openings.
+"""Find wide roofs: connected surfaces whose edges fall on all sides.
 
 A roof of any shape ends on all sides in a fall, where terrain goes on somewhere: a hill by its foot, a terrace by its
 ends, a ramp. So a roof is a whole connected surface, or nothing of it is: no opening cuts it in two. A surface wider

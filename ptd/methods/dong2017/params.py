@@ -17,7 +17,7 @@ class Dong2017Parameters:
     )  # fmt: skip
     facade_height_m: float = parameter(
         3.0,
-        "height of a building by default",
+        "height of the lowest building; lower steps hold no facade",
         unit="m",
         minimum=0.5,
         maximum=100.0,
@@ -40,17 +40,17 @@ class Dong2017Parameters:
     )
     seed_variation: float = parameter(
         2.0,
-        "noise around a seed, in sigma, stays below",
+        "largest noise around a seed, in multiples of sigma",
         minimum=0.5,
         maximum=10.0,
         source="Dong 2017, 3.1: 2 sigma",
     )
     podium_radius_m: float = parameter(
-        15.0, "neighbourhood in which a lower seed drops one that is too high above it", unit="m", minimum=1.0,
+        15.0, "a seed is dropped if a much lower one lies within this distance", unit="m", minimum=1.0,
         maximum=100.0, source="Dong 2017, 3.1: neighbourhood of a seed",
     )  # fmt: skip
     terrain_slope: float = parameter(
-        0.3, "rise per metre between two seeds that both are ground", minimum=0.0, maximum=5.0,
+        0.3, "steepest slope between two seeds that are both ground", minimum=0.0, maximum=5.0,
         source="Dong 2017, equation 1: 0.3",
     )  # fmt: skip
     seed_cell_m: float = parameter(
@@ -65,7 +65,11 @@ class Dong2017Parameters:
         source="Dong 2017, table 4: 2 m",
     )  # fmt: skip
     tins: int = parameter(
-        8, "TINs of each density", minimum=1, maximum=20, source="Dong 2017, 3.2: several TINs"
+        8,
+        "number of TINs of each density; ground grows by two cells with each",
+        minimum=1,
+        maximum=20,
+        source="Dong 2017, 3.2: several TINs",
     )
     contour_level: float = parameter(
         0.01, "height of the contour that gives the thresholds, in parts of the histogram's peak", minimum=0.0001,

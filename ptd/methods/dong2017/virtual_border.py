@@ -1,4 +1,4 @@
-"""Virtual points around those of a TIN: its planes go on a little beyond them, and circles stay small.
+"""Virtual points that extend a TIN a little beyond its outermost points, along its planes.
 
 As the ring of seeds (`ptd.ground.seeds`), with heights that follow the ground's slope: where ground grows outward or
 along a hillside, a level ring would be too high or too low within a few metres.

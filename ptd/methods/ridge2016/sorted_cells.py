@@ -1,4 +1,4 @@
-"""Points cell by cell, the lowest of a cell first: what looks for the lowest point that passes can stop early."""
+"""Points sorted by cell and height, so that the lowest point of a cell that passes a test is found early."""
 
 from __future__ import annotations
 
