@@ -14,6 +14,7 @@ from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.matched import objects, passes, surface
 from ptd.matched.hull import Hull
 from ptd.methods.auto.method import Auto
+from ptd.passes import Points
 from tests.ptd.tiling import classify_tiled
 from tests.scenes.village import counts, village
 
