@@ -25,15 +25,18 @@ Filter = Callable[[Cloud], np.ndarray]
 
 
 def nearest_to_truth(cloud: Cloud) -> np.ndarray:
-    """Points within one height of the true terrain, the height of 0.1 to 1 m with the fewest errors."""
+    """Points within one height of the true terrain, the height of 0.1 to 1 m with the fewest errors.
+
+    Where the terrain is not known, the true ground: such points are no errors.
+    """
     if cloud.truth is None:
         raise ValueError("the true terrain is not known")
     off = np.abs(cloud.xyz[:, 2] - cloud.truth(*cloud.xyz[:, :2].T))
-    counts = ~np.isin(cloud.classification, IGNORED)
-    ground = cloud.classification[counts] == GROUND
+    ground, known = cloud.classification == GROUND, ~np.isnan(off)
+    counts = known & ~np.isin(cloud.classification, IGNORED)
     heights = np.arange(0.1, 1.0, 0.02)
-    wrong = [np.sum((off[counts] < height) != ground) for height in heights]
-    return np.asarray(off < heights[int(np.argmin(wrong))])
+    wrong = [np.sum((off[counts] < height) != ground[counts]) for height in heights]
+    return np.asarray(np.where(known, off < heights[int(np.argmin(wrong))], ground))
 
 
 @dataclass(frozen=True)

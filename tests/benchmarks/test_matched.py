@@ -90,6 +90,14 @@ def test_heights_beside_pixels_without_one_are_not_known() -> None:
     np.testing.assert_array_equal(bilinear(heights, 1.0, x, y), [2.25, 2.0, np.nan])
 
 
+def test_the_floor_is_the_best_height_where_the_terrain_is_known() -> None:
+    z = np.array([0.0, 0.3, 0.31, 0.5, 9.0, 0.0])
+    classes = np.array([2, 2, 2, 5, 2, 5], np.uint8)
+    xyz = np.column_stack((np.arange(6.0), np.zeros(6), z))
+    cloud = Cloud(xyz, classes, truth=lambda x, y: np.where(x < 4, 0.0, np.nan), side_m=6.0)
+    assert measuring.nearest_to_truth(cloud).tolist() == [True, True, True, False, True, False]
+
+
 def test_what_is_left_in_a_terrain_is_told_with_its_place_and_class() -> None:
     off = np.zeros((40, 60))
     off[4:10, 8:20] = 3.0  # 6 m x 3 m, its middle 7 m east and 16.5 m north
