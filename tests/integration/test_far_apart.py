@@ -62,7 +62,7 @@ def test_coarse_pixels_of_a_wide_extent(tmp_path: Path) -> None:
         heights, (west, _, _, _) = raster.read(1), raster.bounds
     column = np.arange(heights.shape[1])
     filled = heights[2] != -9999
-    assert filled.sum() > 0.99 * len(column)
+    assert filled.sum() > 0.98 * len(column)  # the outline follows cells of a pixel
     expected = 100 + 0.001 * (west + 500 * (column + 0.5))
     np.testing.assert_allclose(heights[2][filled], expected[filled], atol=0.005)
 
@@ -166,8 +166,8 @@ def test_one_more_input_makes_the_sheets_that_it_touches(tmp_path: Path) -> None
     tags = {p.name: rasterio.open(p).tags()["TILER_INPUTS"] for p in (tmp_path / "out" / "dtm").iterdir()}
     assert len(set(tags.values())) == 2
     result = do([*first, site(tmp_path / "1.las", west + 1000, south + 1000)], tmp_path / "out", **how)
-    assert result.summary["stages"]["export"]["tasks"] == 3
-    assert result.summary["stages"]["export"]["computed"] == 1
+    assert result.summary["stages"]["export"]["tasks"] == 4  # the outline, too
+    assert result.summary["stages"]["export"]["computed"] == 2
     after = {p.name: rasterio.open(p).tags()["TILER_INPUTS"] for p in (tmp_path / "out" / "dtm").iterdir()}
     assert after.items() > tags.items()
 
@@ -194,7 +194,7 @@ def not_by_the_command(write: Any) -> Any:
 
     def checked(*arguments: Any) -> None:
         callers = {Path(frame.filename).name for frame in inspect.stack()}
-        assert "perform.py" in callers
+        assert "worker.py" in callers
         write(*arguments)
 
     return checked
