@@ -18,7 +18,7 @@ refine
     climbed), and once more what still does among the ground that is left.
 roofs
     ground that is connected, at most 200 m wide, and above nearly all ground that is seen around it is a roof
-    (`plateaus`); twice, as lower roofs lean on higher ones.
+    (`plateaus`); three times, as lower roofs lean on higher ones.
 label
     each point against the TIN of the ground that is left, by its height.
 

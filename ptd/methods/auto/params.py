@@ -26,8 +26,9 @@ TERRAIN_ANGLE_DEG = 88.0
 """Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean by 0.01 points."""
 SEED_DROP_M = 0.05
 """Drop that needs no object when seeds are chosen: noise."""
-ROOF_ROUNDS = 2
-"""How often roofs are looked for: a hall, then what leans on it. A third time changes the mean by 0.001 points."""
+ROOF_ROUNDS = 3
+"""How often roofs are looked for: a hall, what leans on it, and what leans on that. Without the third time most of a
+flat roof of Autzen, 56 m wide, stays, though the mean of the scored scenes changes by 0.001 points alone."""
 ROOF_CELL_M = 2.0
 """Side of the cells of ground that surfaces are made of: they bridge the gaps of sparse clouds."""
 ROOF_STEP_M = 1.5
