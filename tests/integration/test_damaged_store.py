@@ -17,7 +17,7 @@ CHUNKS = {
     "points": ("points/xyz/c/*/0/0", {"spool": 0}),
     "origins": ("points/origin/c/*/0/0", {"spool": 0}),
     "labels": ("labels/labels/c/*/0/0", {"spool": 0, "assemble": 0}),
-    "raster": ("rasters/dtm/c/*/*", {"spool": 0, "assemble": 0, "filter0": 0, "grid-dtm": 1}),
+    "raster": ("rasters/dtm-outlined/c/*/*", {"filter0": 0, "grid-dtm": 0, "grid-dtm-outlined": 1}),
 }
 WHOLE = {
     "index": "index/*.npy",
