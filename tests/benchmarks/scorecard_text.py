@@ -122,7 +122,7 @@ def _mean_row(cells: Sequence[Cell], name: str, own: Sequence[Cell]) -> list[str
     scenes = len({c.scene for c in own})
     by_method = {m: some if len(some) == scenes else [] for m, some in by_method.items()}
     totals = {m: total for m, some in by_method.items() if (total := _mean(some, "total")) is not None}
-    best = min(totals.values(), default=None)
+    best = min((total for m, total in totals.items() if m != "floor"), default=None)
     row = [f"{name} ({scenes})"]
     for method, some in by_method.items():
         if not some:
@@ -133,7 +133,7 @@ def _mean_row(cells: Sequence[Cell], name: str, own: Sequence[Cell]) -> list[str
             row.append(f"refused {refused} of {len(some)}")
             continue
         figures = [percent(_mean(some, key)) for key in ("type_1", "type_2", "total", "kappa")]
-        if totals.get(method) == best:
+        if totals.get(method) == best and method != "floor":
             figures[2] = f"**{figures[2]}**"
         rmse = _mean(some, "dtm_rmse_m") if all(c.dtm_rmse_m is not None for c in some) else None
         row.append(" / ".join(figures) + ("" if rmse is None else f", {rmse:.3f} m"))
