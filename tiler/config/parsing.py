@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any
 
-from tiler.core.frame import FARTHEST
-from tiler.core.units import parse_length
+from tiler.core.units import FARTHEST, parse_length
 from tiler.errors import ConfigError
 
 _BYTES = {"": 1, "b": 1, "k": 1000, "kb": 1000, "kib": 1024, "m": 10**6, "mb": 10**6, "mib": 1 << 20,

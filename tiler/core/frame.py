@@ -14,9 +14,6 @@ from tiler.core.units import Units
 COUNTS_PER_UNIT = 1000
 """A millimetre where the CRS is in metres, 0.3 mm in feet; fixed, never read from a header."""
 
-FARTHEST = 9e12
-"""Units of the CRS: what is not nearer to its origin is no coordinate, see `tiler.ingest.requantise.BEYOND`."""
-
 INT32_LIMIT = 2**31 - 1
 
 

@@ -12,6 +12,9 @@ METRE = Fraction(1)
 FOOT = Fraction(3048, 10000)
 US_SURVEY_FOOT = Fraction(1200, 3937)
 
+FARTHEST = 9e12
+"""Units of the CRS: what is not nearer to its origin is no coordinate, see `tiler.ingest.requantise.BEYOND`."""
+
 _NAMES = {
     "m": METRE, "metre": METRE, "meter": METRE, "metres": METRE, "meters": METRE,
     "cm": Fraction(1, 100), "mm": Fraction(1, 1000), "km": Fraction(1000),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.frame import FARTHEST
+from tiler.core.units import FARTHEST
 from tiler.errors import InputError
 from tiler.ingest.patches import Patch, find_patches
 from tiler.io.las.columns import returns

@@ -10,7 +10,8 @@ import numpy as np
 
 from tiler.config import RunConfig
 from tiler.core.area import Area, shortened
-from tiler.core.frame import COUNTS_PER_UNIT, FARTHEST
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.units import FARTHEST
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import SourceInfo, bounds_in_counts
 from tiler.io.vector import POLYGONS, Feature, read_in_crs

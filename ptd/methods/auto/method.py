@@ -53,6 +53,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,7 @@ from ptd.matched import survey
 from ptd.matched.survey import Seen
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
 from ptd.methods.auto.objects import Lowest
-from ptd.methods.auto.params import RING_M, ROOF_CELL_M, ROOF_ROUNDS, AutoParameters
+from ptd.methods.auto.params import RING_M, ROOF_CELL_M, ROOF_PASSES, ROOF_STEPS_M, AutoParameters
 from ptd.methods.auto.plateaus import on_plateaus
 from ptd.methods.auto.settings import decided, settings
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
@@ -96,9 +97,9 @@ class Auto(AutoParameters):
             RefinePass(self, reach_m=(self.refine_reach + 1) * cell),
             *(
                 RoofPass(
-                    self, f"roofs{n}" if n > 1 else "roofs", again=n > 1, reach_m=(self.roof_reach + 1) * cell
+                    self, name, again=step_m == before_m, step_m=step_m, reach_m=(self.roof_reach + 1) * cell
                 )
-                for n in range(1, ROOF_ROUNDS + 1)
+                for name, (before_m, step_m) in zip(ROOF_PASSES, pairwise((0.0, *ROOF_STEPS_M)), strict=True)
             ),
             LabelPass(self),
             *matched.PASSES,
@@ -221,11 +222,13 @@ class RoofPass(LaserPass):
     columns: tuple[str, ...] = ("labels",)
     reach_m: float | None = None
     again: bool = False
+    step_m: float = ROOF_STEPS_M[0]
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Look around each connected surface."""
         p = self.params
-        cells, wide, rule = Cells.of(p.thin_cell_m, scale), Cells.of(ROOF_CELL_M, scale), p.plateaus(scale)
+        cells, wide = Cells.of(p.thin_cell_m, scale), Cells.of(ROOF_CELL_M, scale)
+        rule = p.plateaus(scale, self.step_m)
         x, y, z, codes = lowest_points(points, cells)
         ground, before = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):

@@ -26,14 +26,15 @@ TERRAIN_ANGLE_DEG = 88.0
 """Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean by 0.01 points."""
 SEED_DROP_M = 0.05
 """Drop that needs no object when seeds are chosen: noise."""
-ROOF_ROUNDS = 3
-"""How often roofs are looked for: a hall, what leans on it, and what leans on that. Without the third time most of a
-flat roof of Autzen, 56 m wide, stays, though the mean of the scored scenes changes by 0.001 points alone."""
 ROOF_CELL_M = 2.0
 """Side of the cells of ground that surfaces are made of: they bridge the gaps of sparse clouds."""
-ROOF_STEP_M = 1.5
-"""Neighbours on a surface differ by no more, and what lies lower by more is below it. One value for both: with a
-smaller step two flat roofs whose heights differ by something in between would keep each other as ground."""
+ROOF_FALL_M = 1.5
+"""What lies lower by more is below a roof."""
+ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)
+"""Neighbours on a surface differ by no more, each time that roofs are looked for: a hall, what leans on it, and what
+leans on that. With a step below the fall alone, two flat roofs whose heights differ by something in between would keep
+each other as ground; the last and smaller one parts roofs from the terrain beside them, to which larger ones join."""
+ROOF_PASSES = ("roofs", *(f"roofs{n}" for n in range(2, len(ROOF_STEPS_M) + 1)))
 ROOF_GAP_M = 8.0
 """Neighbours are no farther apart: parts of a roof lie among higher ones."""
 ROOF_VIEW_M = 24.0
@@ -196,16 +197,17 @@ class AutoParameters:
         """Cells beyond which nothing has a part in what a cell is after the pass `refine`."""
         return self.objects.reach + self.bumps.reach
 
-    def plateaus(self, scale: Scale) -> Plateaus:
-        """When ground lies on a roof."""
+    def plateaus(self, scale: Scale, step_m: float = ROOF_FALL_M) -> Plateaus:
+        """When ground lies on a roof whose neighbouring cells differ by no more than a step."""
 
         def cells(metres: float) -> int:
             return max(round(metres / ROOF_CELL_M), 1)
 
         return Plateaus(
-            step=scale.counts_z(ROOF_STEP_M), gap=cells(ROOF_GAP_M), view=cells(ROOF_VIEW_M),
+            step=scale.counts_z(step_m), fall=scale.counts_z(ROOF_FALL_M),
+            gap=cells(ROOF_GAP_M), view=cells(ROOF_VIEW_M),
             slope=scale.counts_z(ROOF_SLOPE * ROOF_CELL_M), share=ROOF_BELOW_SHARE, unseen=ROOF_UNSEEN_SHARE,
- widest=cells(self.roof_size_m),
+            widest=cells(self.roof_size_m),
             widest_cut=cells(CUT_SIZE * self.roof_size_m),
         )  # fmt: skip
 

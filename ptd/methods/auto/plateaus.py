@@ -48,14 +48,13 @@ class Plateaus:
     Attributes
     ----------
     step : float
-        Cells are of one surface where their heights differ by no more. What lies lower by more is below it: were that
-        limit another, two flat roofs whose heights differ by something in between would keep each other as ground.
+        Cells are of one surface where their heights differ by no more.
     gap : int
         Also if so many steps lie between them, along one of the eight directions, over empty cells.
     view : int
         As far is looked from each cell, along the eight directions, for what is no part of the surface.
-    slope : float
-        What lies lower by more than `step` and this for each cell of distance lies below: terrain slopes. What lies
+    fall, slope : float
+        What lies lower by more than `fall` and `slope` for each cell of distance lies below: terrain slopes. What lies
         between the first and both could be either; such a look says nothing.
     share : float
         Of what is seen around, so much at least lies below.
@@ -67,6 +66,7 @@ class Plateaus:
     """
 
     step: float
+    fall: float
     gap: int
     view: int
     slope: float
@@ -89,7 +89,7 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
     """Which points of ground lie on surfaces above their surroundings: bool [n].
 
     That is all in cells of such surfaces; and in the cells at their edges, whose lowest point lies beside the roof,
-    what is higher than that by more than `Plateaus.step`.
+    what is higher than that by more than `Plateaus.fall`.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
     data[raster.keys] = True
     roof = plateaus(heights, rule, removed.reshape(heights.shape), data.reshape(heights.shape))
     beside = maximum_filter(roof, size=3, mode="constant", cval=False)
-    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.step
+    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.fall
     found: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
     return found
 
@@ -130,7 +130,7 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
     data = heights != EMPTY if data is None else data
     limit = math.floor(rule.step) + 1  # heights are whole numbers
     surface, n = connected_surfaces(heights, limit, limit, rule.gap)
-    looks, box = _looks(heights, surface, removed, data, n, rule.view, rule.step, rule.slope)
+    looks, box = _looks(heights, surface, removed, data, n, rule.view, rule.fall, rule.slope)
     seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
     unseen = looks[:, _UNSEEN] + border.sum(axis=1)
     every = seen + unseen + looks[:, _PAST]

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.frame import FARTHEST
+from tiler.core.units import FARTHEST
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt
 from tiler.io.vector import POINTS, Feature, Kind, read_features

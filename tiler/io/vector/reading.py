@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.frame import FARTHEST
+from tiler.core.units import FARTHEST
 from tiler.errors import InputError
 from tiler.io.vector.opening import check_file, reading
 from tiler.io.vector.reprojection import in_crs

@@ -67,6 +67,7 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
         "roofs",
         "roofs2",
         "roofs3",
+        "roofs4",
         "label",
     ]
 
@@ -213,7 +214,8 @@ def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
     assert {step.name: step.reach_m for step in Auto().passes} == {
         "survey": 24.0, "seeds": 60.0, "densify": None, "refine": 60.0, "roofs": 229.0, "roofs2": 229.0,
-        "roofs3": 229.0, "label": None, "cells": 4.0, "objects": 320.0, "inner-objects": 320.0, "surface": 356.0,
+        "roofs3": 229.0, "roofs4": 229.0, "label": None,
+        "cells": 4.0, "objects": 320.0, "inner-objects": 320.0, "surface": 356.0,
     }  # fmt: skip
 
 

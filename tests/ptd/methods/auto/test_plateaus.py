@@ -14,7 +14,9 @@ from ptd.frame import Cells
 from ptd.ground.morphology import EMPTY, CellRaster
 from ptd.methods.auto.plateaus import Plateaus, on_plateaus, plateaus
 
-RULE = Plateaus(step=1500.0, gap=2, view=4, slope=0.0, share=0.9, unseen=0.5, widest=12, widest_cut=8)
+RULE = Plateaus(
+    step=1500.0, fall=1500.0, gap=2, view=4, slope=0.0, share=0.9, unseen=0.5, widest=12, widest_cut=8
+)
 WAYS = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if r or c]
 
 
@@ -162,9 +164,9 @@ def by_hand(heights: np.ndarray, rule: Plateaus, removed: np.ndarray, data: np.n
         if other is None:
             return "nothing"
         lower, steps = filled[cell] - filled[other], max(abs(cell[0] - other[0]), abs(cell[1] - other[1]))
-        if lower <= rule.step:
+        if lower <= rule.fall:
             return "other"
-        return "falls" if lower > rule.step + rule.slope * steps else "nothing"
+        return "falls" if lower > rule.fall + rule.slope * steps else "nothing"
 
     def leaves(cell: tuple[int, int], way: tuple[int, int]) -> bool:
         ahead = ((cell[0] + k * way[0], cell[1] + k * way[1]) for k in range(1, rule.view + 1))
