@@ -128,6 +128,7 @@ def test_everything_by_url(
     assert json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["outputs"].keys() == {
         "dtm.tif",
         "classified/city.laz",
+        "outline.gpkg",
     }
 
 
@@ -194,7 +195,9 @@ def test_the_plan_looks_at_the_workers(bucket: Any, cluster: Cluster, cloud: Pat
 def test_a_worker_with_another_version(cluster: Cluster, cloud: Path, tmp_path: Path) -> None:
     """A worker process whose tiler says that it is another one: one line, in the plan and before the first task."""
     (tmp_path / "older").mkdir()
-    (tmp_path / "older/sitecustomize.py").write_text("import tiler\n\ntiler.__version__ = '0.0.9'\n")
+    (tmp_path / "older/sitecustomize.py").write_text(
+        "import tiler.version\n\ntiler.version.__version__ = '0.0.9'\n"
+    )
     root = environment()["PYTHONPATH"]
     cluster.worker(PYTHONPATH=f"{tmp_path / 'older'}:{root}")
     cluster.wait_for(1)
