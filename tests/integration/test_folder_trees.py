@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.integration.trees import STEPS, TREES, planted, put, tried
 
-FEW, MANY = 20, 1000
+FEW, MANY = 20, 250
 
 
 @pytest.fixture(autouse=True)
@@ -56,7 +56,7 @@ def test_commands_leave_files_of_others_alone(things: list[Any], steps: list[Any
 @pytest.mark.slow
 @settings(max_examples=MANY, **HOW)
 @given(TREES, STEPS, st.just(None))
-def test_commands_leave_files_of_others_alone_in_a_thousand_trees(
+def test_commands_leave_files_of_others_alone_in_many_trees(
     things: list[Any], steps: list[Any], again: None
 ) -> None:
     look(things, steps)

@@ -140,10 +140,10 @@ def test_an_eventful_history(
     ("other", "step"),
     [
         ("other pixels", 4),
-        pytest.param("as many other pixels", 1, marks=pytest.mark.slow),
-        pytest.param("fewer files", 9, marks=pytest.mark.slow),
-        pytest.param("other tiles", 9, marks=pytest.mark.slow),
-        pytest.param("two passes", 9, marks=pytest.mark.slow),
+        pytest.param("as many other pixels", 2, marks=pytest.mark.slow),
+        pytest.param("fewer files", 23, marks=pytest.mark.slow),
+        pytest.param("other tiles", 13, marks=pytest.mark.slow),
+        pytest.param("two passes", 41, marks=pytest.mark.slow),
     ],
 )
 def test_another_run_cut_off_at_each_write(
