@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
+from packaging.version import Version
 
 from tests.benchmarks import leave_one_out, matched, matched_runs, measuring, peers
 from tests.benchmarks.scorecard_scenes import (
@@ -26,6 +27,11 @@ from tests.benchmarks.scorecard_scenes import (
 from tests.benchmarks.scorecard_text import markdown
 from tiler.simulate.catalogue import SceneSpec
 from tiler.simulate.points import survey
+
+needs_current_laspy = pytest.mark.skipif(
+    Version(laspy.__version__) < Version("2.6"),
+    reason="a header changed later does not reach the points of older laspy",
+)
 
 
 def tiny() -> Cloud:
@@ -57,6 +63,7 @@ def test_settings_are_in_force_for_one_run_alone() -> None:
     assert all(default[name] == values[1] for name, values in leave_one_out.MATCHED_GRID.items())
 
 
+@needs_current_laspy
 def test_a_true_terrain_is_read_between_the_centres_of_its_pixels(tmp_path: Path) -> None:
     west, south, side = 500_000.0, 4_000_000.0, 20
     centres = np.arange(0.25, side, 0.5)
@@ -153,6 +160,7 @@ def test_smrf_sees_no_outliers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert peers.pdal_ground(peers.SMRF_WITHOUT_OUTLIERS, xyz).tolist() == [True, False]
 
 
+@needs_current_laspy
 def test_ptd_of_lasr_is_read_back_in_the_order_of_the_points(monkeypatch: pytest.MonkeyPatch) -> None:
     def run(command: list[str], **_: object) -> None:
         las = laspy.read(command[-2])

@@ -16,7 +16,7 @@ FEW, MANY = 20, 250
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands that start a process for what they read do it here: a thousand would take half an hour."""
+    """Commands that start a process for what they read do it here: hundreds would take minutes."""
 
     def here(guard: Any, function: Any, *arguments: Any, **named: Any) -> Any:
         return function(*arguments, **named)
