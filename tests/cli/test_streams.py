@@ -41,6 +41,7 @@ def test_a_reader_that_went_away_is_no_failure(arguments: tuple[str, ...], code:
     assert done.stderr.count("\n") == (code != 0)
 
 
+@pytest.mark.slow
 def test_a_run_that_nobody_listens_to_goes_on(tmp_path: Path) -> None:
     cloud = clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
     cut = tmp_path / "cut.laz"

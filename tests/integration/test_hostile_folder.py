@@ -43,6 +43,7 @@ def tiler(folder: Path, *arguments: object, path: str = str(ROOT)) -> subprocess
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_no_command_imports_what_lies_beside_the_clouds(folder: Path) -> None:
     for arguments in (
         ("info", "town.laz"),

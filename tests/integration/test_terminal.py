@@ -53,6 +53,7 @@ def out(cloud: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_no_command_gives_control_characters_on(
     cloud: Path, out: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
