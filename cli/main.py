@@ -61,8 +61,12 @@ class LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.group(cls=LazyGroup, invoke_without_command=True, epilog=exit_codes.EPILOG,
-             context_settings={"max_content_width": 100})  # fmt: skip
+@click.group(
+    cls=LazyGroup,
+    invoke_without_command=True,
+    epilog=exit_codes.EPILOG,
+    context_settings={"max_content_width": 100},
+)
 @click.version_option(__version__, prog_name="tiler")
 @click.pass_context
 def group(context: click.Context) -> int:

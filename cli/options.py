@@ -31,10 +31,13 @@ def config_options(only: Collection[str] | None = None) -> Callable[[Command], C
             if only is None or spec.name in only:
                 command = _option(spec)(command)
         file_option = click.option(
-            "--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
+            "--config",
+            "config_file",
+            type=click.Path(path_type=Path),
+            metavar="FILE.toml",
             help="settings in a file (see `tiler config --template`); they win over --preset, options over them "
-                 "[default: none]",
-        )  # fmt: skip
+            "[default: none]",
+        )
         return file_option(command)
 
     return decorate
@@ -112,9 +115,13 @@ inputs_argument = click.argument("inputs", nargs=-1, required=True, metavar="INP
 """Files, folders and globs."""
 
 out_option = click.option(
-    "-o", "--out", required=True, type=click.Path(), metavar="OUT",
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(),
+    metavar="OUT",
     help="folder of the results, or a URL (s3://...); with the same OUT again the run resumes",
-)  # fmt: skip
+)
 
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="print the result as JSON to stdout [default: no, for people]"

@@ -76,12 +76,19 @@ def methods() -> str:
 
 def page() -> str:
     """The whole document."""
-    return "\n".join((
-        HEAD, "## Settings of a run\n", settings(), "## Presets\n", presets(),
-        "## Methods and their parameters\n",
-        "`--method NAME`, `--set parameter=value` (the unit at the end of a name can be left out). `--method keep` "
-        "filters nothing: it grids the classes of the input.\n", methods(),
-    ))  # fmt: skip
+    return "\n".join(
+        (
+            HEAD,
+            "## Settings of a run\n",
+            settings(),
+            "## Presets\n",
+            presets(),
+            "## Methods and their parameters\n",
+            "`--method NAME`, `--set parameter=value` (the unit at the end of a name can be left out). `--method keep` "
+            "filters nothing: it grids the classes of the input.\n",
+            methods(),
+        )
+    )
 
 
 if __name__ == "__main__":

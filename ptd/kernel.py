@@ -75,9 +75,11 @@ def _take_over(shared: Path, folder: Path) -> None:
         with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
             copy = Path(scratch) / "copy"
             shutil.copytree(
-                shared, copy, symlinks=True,
+                shared,
+                copy,
+                symlinks=True,
                 ignore=lambda place, names: [name for name in names if not _trusted(Path(place, name))],
-            )  # fmt: skip
+            )
             copy.chmod(0o700)
             copy.rename(folder)
 

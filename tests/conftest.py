@@ -14,10 +14,19 @@ COMPILE_FIRST = "ptd/test_precompile.py"
 COMPILE_NOTHING = tuple(
     f"{folder}/"
     for folder in (
-        "cli", "tiler/apps/check", "tiler/core", "tiler/export", "tiler/ingest", "tiler/io", "tiler/observe",
-        "tiler/config", "tiler/report", "tiler/schedule", "tiler/store",
+        "cli",
+        "tiler/apps/check",
+        "tiler/core",
+        "tiler/export",
+        "tiler/ingest",
+        "tiler/io",
+        "tiler/observe",
+        "tiler/config",
+        "tiler/report",
+        "tiler/schedule",
+        "tiler/store",
     )
-)  # fmt: skip
+)
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 # The same examples on every run, however slow the machine: what fails in CI fails at home.

@@ -220,8 +220,11 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
     """The store, and the plan with what its first run settled: frame, buckets, tiles, resolution, thinning."""
     if plan.config.overwrite or not store_exists(url):
         first = {
-            "tile": str(plan.tile), "resolution": str(plan.resolution), "memory": plan.memory, "thin": plan.thin_ground,
-        }  # fmt: skip
+            "tile": str(plan.tile),
+            "resolution": str(plan.resolution),
+            "memory": plan.memory,
+            "thin": plan.thin_ground,
+        }
         return plan, create_store(url, plan.meta, first, anew=plan.config.overwrite)
     store = open_store(url)
     old, new = store.meta, plan.meta

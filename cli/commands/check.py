@@ -21,24 +21,47 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
 
 @click.command("check", cls=TilerCommand)
 @click.argument("dtm", metavar="DTM", type=click.Path(path_type=Path))
-@click.option("--points", type=click.Path(path_type=Path), metavar="FILE",
-              help="checkpoints: CSV (x, y, z, type NVA or VVA, cover), GeoJSON or GeoPackage "
-              "[default: none]")  # fmt: skip
+@click.option(
+    "--points",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="checkpoints: CSV (x, y, z, type NVA or VVA, cover), GeoJSON or GeoPackage [default: none]",
+)
 @click.option(
     "--points-crs", metavar="CRS", help="CRS of their x and y [default: what FILE says, else the DTM's]"
 )
 @click.option("--points-unit", metavar="UNIT", help="unit of their heights: m, ft, usft [default: the DTM's]")
-@click.option("--points-rmse", metavar="LENGTH", default="0",
-              help="RMSE of the checkpoints' own heights [unit: m; default: 0]")  # fmt: skip
-@click.option("--tile-size", metavar="LENGTH",
-              help="look for seams at its multiples [unit: m; default: tiles of the run.json beside DTM]")  # fmt: skip
-@click.option("--strips", multiple=True, metavar="CLOUD", type=click.Path(),
-              help="compare the flight strips of classified clouds; repeatable [default: none]")  # fmt: skip
-@click.option("--require", multiple=True, metavar="NAME=VALUE",
-              help="exit code 5 unless rmse, mean, median, nmad, p95, max, seam, strips (at most, m), outliers "
-              "(at most) or points (at least) hold; of NVA points; repeatable [default: none]")  # fmt: skip
-@click.option("--figures", type=click.Path(path_type=Path), metavar="FOLDER",
-              help="draw histogram.svg and map.svg of the checkpoints [default: none]")  # fmt: skip
+@click.option(
+    "--points-rmse",
+    metavar="LENGTH",
+    default="0",
+    help="RMSE of the checkpoints' own heights [unit: m; default: 0]",
+)
+@click.option(
+    "--tile-size",
+    metavar="LENGTH",
+    help="look for seams at its multiples [unit: m; default: tiles of the run.json beside DTM]",
+)
+@click.option(
+    "--strips",
+    multiple=True,
+    metavar="CLOUD",
+    type=click.Path(),
+    help="compare the flight strips of classified clouds; repeatable [default: none]",
+)
+@click.option(
+    "--require",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="exit code 5 unless rmse, mean, median, nmad, p95, max, seam, strips (at most, m), outliers "
+    "(at most) or points (at least) hold; of NVA points; repeatable [default: none]",
+)
+@click.option(
+    "--figures",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="draw histogram.svg and map.svg of the checkpoints [default: none]",
+)
 @json_option
 def command(
     dtm: Path,

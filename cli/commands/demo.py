@@ -27,10 +27,21 @@ SETTINGS = (
 
 
 @click.command("demo", cls=TilerCommand, resumes=True)
-@click.option("-o", "--out", default="tiler-demo", type=click.Path(), metavar="OUT",
-              help="folder of the results [default: tiler-demo]")  # fmt: skip
-@click.option("--seed", default=1, type=click.IntRange(min=0), metavar="N",
-              help="of the simulated city; the same seed gives the same city [default: 1]")  # fmt: skip
+@click.option(
+    "-o",
+    "--out",
+    default="tiler-demo",
+    type=click.Path(),
+    metavar="OUT",
+    help="folder of the results [default: tiler-demo]",
+)
+@click.option(
+    "--seed",
+    default=1,
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="of the simulated city; the same seed gives the same city [default: 1]",
+)
 @config_options(only=SETTINGS)
 @json_option
 def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:

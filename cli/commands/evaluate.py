@@ -24,25 +24,39 @@ SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo
 @click.command("evaluate", cls=TilerCommand)
 @click.argument("clouds", metavar="[CLOUD]...", nargs=-1, type=click.Path())
 @click.option(
-    "--reference", "references", multiple=True, metavar="REF", type=click.Path(),
+    "--reference",
+    "references",
+    multiple=True,
+    metavar="REF",
+    type=click.Path(),
     help="cloud, folder or glob with the true classes of the same points; repeatable [default: CLOUD itself, which "
-         "--method then filters]",
-)  # fmt: skip
+    "--method then filters]",
+)
 @click.option(
     "--ignore",
     metavar="N,N,...",
     help="true classes that do not count, or `none` [default: 7,9,17,18,26,64,65,66,67: noise, water, bridges, "
     "virtual points]",
 )
-@click.option("--maps", type=click.Path(path_type=Path), metavar="FOLDER",
-              help="write a map of the errors of each cloud as GeoTIFF and PNG [default: none]")  # fmt: skip
-@click.option("--map-cell", default="1", metavar="LENGTH",
-              help="side of the maps' cells [unit: m; default: 1]")  # fmt: skip
+@click.option(
+    "--maps",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="write a map of the errors of each cloud as GeoTIFF and PNG [default: none]",
+)
+@click.option(
+    "--map-cell", default="1", metavar="LENGTH", help="side of the maps' cells [unit: m; default: 1]"
+)
 @click.option("--dtm", type=click.Path(), metavar="DTM", help="raster to be judged [default: none]")
-@click.option("--true-dtm", type=click.Path(), metavar="RASTER",
-              help="true heights on the same pixels [default: none]")  # fmt: skip
-@click.option("--difference", type=click.Path(path_type=Path), metavar="FILE.tif",
-              help="write DTM minus true DTM [default: none]")  # fmt: skip
+@click.option(
+    "--true-dtm", type=click.Path(), metavar="RASTER", help="true heights on the same pixels [default: none]"
+)
+@click.option(
+    "--difference",
+    type=click.Path(path_type=Path),
+    metavar="FILE.tif",
+    help="write DTM minus true DTM [default: none]",
+)
 @config_options(only=SETTINGS)
 @json_option
 def command(

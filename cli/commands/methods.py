@@ -48,9 +48,13 @@ def parameter_facts(params: Any) -> list[dict[str, Any]]:
 
 def _row(fact: dict[str, Any]) -> tuple[str, ...]:
     return (
-        fact["name"], _text(fact["default"]), fact["unit"], range_text(fact["minimum"], fact["maximum"]),
-        fact["source"], fact["help"],
-    )  # fmt: skip
+        fact["name"],
+        _text(fact["default"]),
+        fact["unit"],
+        range_text(fact["minimum"], fact["maximum"]),
+        fact["source"],
+        fact["help"],
+    )
 
 
 def _text(value: Any) -> str:

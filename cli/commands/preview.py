@@ -23,12 +23,26 @@ WITHOUT = (
 
 @click.command("preview", cls=TilerCommand)
 @inputs_argument
-@click.option("-o", "--out", default="preview.png", type=click.Path(), metavar="FILE.png",
-              help="the picture; replaced if it is there [default: preview.png]")  # fmt: skip
-@click.option("--windows", default=3, type=click.IntRange(1, 12), metavar="N",
-              help="number of windows, at most [default: 3]")  # fmt: skip
-@click.option("--size", metavar="LENGTH",
-              help="side of a window [unit: m; default: up to 200, less where clouds are dense]")  # fmt: skip
+@click.option(
+    "-o",
+    "--out",
+    default="preview.png",
+    type=click.Path(),
+    metavar="FILE.png",
+    help="the picture; replaced if it is there [default: preview.png]",
+)
+@click.option(
+    "--windows",
+    default=3,
+    type=click.IntRange(1, 12),
+    metavar="N",
+    help="number of windows, at most [default: 3]",
+)
+@click.option(
+    "--size",
+    metavar="LENGTH",
+    help="side of a window [unit: m; default: up to 200, less where clouds are dense]",
+)
 @config_options(only=[name for name in SETTINGS if name not in WITHOUT])
 @json_option
 def command(

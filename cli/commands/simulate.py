@@ -29,31 +29,75 @@ def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: boo
 
 @click.command("simulate", cls=TilerCommand)
 @click.argument("out", metavar="OUT.laz", type=click.Path())
-@click.option("--kind", type=click.Choice(["als", "dim"]),
-              help="laser scanner or dense image matching [default: that of the scene, else als]")  # fmt: skip
-@click.option("--scene", default="city", metavar="NAME",
-              help="kind of place, or scene of the catalogue; --list shows them [default: city]")  # fmt: skip
-@click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list_scenes,
-              help="show the scenes and end [default: no]")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), metavar="N",
-              help="the same seed and settings give the same bytes [default: that of the scene, else 1]")  # fmt: skip
-@click.option("--size", metavar="LENGTH",
-              help="side of the square [unit: m; default: that of the scene, else 500 (als) or 150 (dim)]")  # fmt: skip
-@click.option("--density", type=float, metavar="N",
-              help="pulses (als) or matches (dim) on open ground [unit: per m2; default: that of the scene, "
-                   "else 4 (als) or 40 (dim)]")  # fmt: skip
-@click.option("--sigma", metavar="LENGTH",
-              help="standard deviation of the heights [unit: m; default: that of the scene, else 0.025 (als) or "
-                   "0.066 (dim)]")  # fmt: skip
-@click.option("--blunders", default=1.0, type=float, metavar="N",
-              help="times the usual number of points far below and above the ground; 0: none [default: 1]")  # fmt: skip
-@click.option("--resolution", default="1", metavar="LENGTH",
-              help="pixel of the true terrain model [unit: m; default: 1]")  # fmt: skip
+@click.option(
+    "--kind",
+    type=click.Choice(["als", "dim"]),
+    help="laser scanner or dense image matching [default: that of the scene, else als]",
+)
+@click.option(
+    "--scene",
+    default="city",
+    metavar="NAME",
+    help="kind of place, or scene of the catalogue; --list shows them [default: city]",
+)
+@click.option(
+    "--list",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_list_scenes,
+    help="show the scenes and end [default: no]",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="the same seed and settings give the same bytes [default: that of the scene, else 1]",
+)
+@click.option(
+    "--size",
+    metavar="LENGTH",
+    help="side of the square [unit: m; default: that of the scene, else 500 (als) or 150 (dim)]",
+)
+@click.option(
+    "--density",
+    type=float,
+    metavar="N",
+    help="pulses (als) or matches (dim) on open ground [unit: per m2; default: that of the scene, "
+    "else 4 (als) or 40 (dim)]",
+)
+@click.option(
+    "--sigma",
+    metavar="LENGTH",
+    help="standard deviation of the heights [unit: m; default: that of the scene, else 0.025 (als) or "
+    "0.066 (dim)]",
+)
+@click.option(
+    "--blunders",
+    default=1.0,
+    type=float,
+    metavar="N",
+    help="times the usual number of points far below and above the ground; 0: none [default: 1]",
+)
+@click.option(
+    "--resolution",
+    default="1",
+    metavar="LENGTH",
+    help="pixel of the true terrain model [unit: m; default: 1]",
+)
 @json_option
 def command(
-    out: str, kind: str | None, scene: str, seed: int | None, size: str | None, density: float | None,
-    sigma: str | None, blunders: float, resolution: str, as_json: bool,
-) -> None:  # fmt: skip
+    out: str,
+    kind: str | None,
+    scene: str,
+    seed: int | None,
+    size: str | None,
+    density: float | None,
+    sigma: str | None,
+    blunders: float,
+    resolution: str,
+    as_json: bool,
+) -> None:
     """A cloud with true labels, and its true terrain.
 
     OUT.laz gets the points of a simulated place with their ASPRS classes: 1 cars and garden walls, 2 ground, 3, 4

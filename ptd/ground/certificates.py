@@ -55,9 +55,15 @@ def _distance_to_side(ax: float, ay: float, bx: float, by: float) -> float:
 
 @kernel
 def _mark_triangles(
-    mask: UInt8, west: int, south: int, cell: int, vertices: Int32Array, triangles: Int32Array, which: UInt8,
+    mask: UInt8,
+    west: int,
+    south: int,
+    cell: int,
+    vertices: Int32Array,
+    triangles: Int32Array,
+    which: UInt8,
     reach: float,
-) -> None:  # fmt: skip
+) -> None:
     """Put cells with a place within `reach` of a chosen real triangle in doubt, and a few more."""
     near = reach + math.sqrt(0.5) * cell + 1.0
     corners = np.empty((3, 2), np.float64)
@@ -142,10 +148,16 @@ def _doubtful_triangles(
         a, b, c = triangles[8 * t + 4], triangles[8 * t + 5], triangles[8 * t + 6]
         ax, ay = vertices[4 * a], vertices[4 * a + 1]
         out[t] = _circle_in_doubt(
-            float(vertices[4 * b] - ax), float(vertices[4 * b + 1] - ay),
-            float(vertices[4 * c] - ax), float(vertices[4 * c + 1] - ay),
-            float(ax), float(ay), sides, float(cell), free,
-        )  # fmt: skip
+            float(vertices[4 * b] - ax),
+            float(vertices[4 * b + 1] - ay),
+            float(vertices[4 * c] - ax),
+            float(vertices[4 * c + 1] - ay),
+            float(ax),
+            float(ay),
+            sides,
+            float(cell),
+            free,
+        )
 
 
 @kernel

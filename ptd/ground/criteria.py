@@ -62,9 +62,13 @@ class Limits(NamedTuple):
     ) -> Limits:
         """From metres and degrees."""
         return cls(
-            scale.counts(distance_m), math.radians(angle_deg), math.cos(math.radians(terrain_deg)) ** 2,
-            scale.counts(reduce_m), scale.counts(stop_m), scale.z_ratio,
-        )  # fmt: skip
+            scale.counts(distance_m),
+            math.radians(angle_deg),
+            math.cos(math.radians(terrain_deg)) ** 2,
+            scale.counts(reduce_m),
+            scale.counts(stop_m),
+            scale.z_ratio,
+        )
 
 
 @kernel

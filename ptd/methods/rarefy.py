@@ -39,9 +39,13 @@ class Rarefy(Classic):
     """Parameters of `rarefy`; see the module's table."""
 
     label_floor_m: float = parameter(
-        0.5, "ground is what lies no more than this above or below the DTM", unit="m", minimum=0.0, maximum=10.0,
+        0.5,
+        "ground is what lies no more than this above or below the DTM",
+        unit="m",
+        minimum=0.0,
+        maximum=10.0,
         source="Dong 2018, 1",
-    )  # fmt: skip
+    )
 
     @property
     def passes(self) -> tuple[Pass, ...]:

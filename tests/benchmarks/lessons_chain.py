@@ -83,9 +83,16 @@ def triangulate(x: Int32, y: Int32, z: Int32, chosen: Bool, ring: Int32) -> Tin:
 
 @kernel
 def _label(
-    vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: Int32, locator: Locator,
-    floor: float, per_slope: float, labels: np.ndarray,
-) -> None:  # fmt: skip
+    vertices: Int32Array,
+    triangles: Int32Array,
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    locator: Locator,
+    floor: float,
+    per_slope: float,
+    labels: np.ndarray,
+) -> None:
     for i in range(x.size):
         px, py = wide(x[i]), wide(y[i])
         t = locate(vertices, triangles, px, py, start_near(locator, px, py))
@@ -107,9 +114,14 @@ def label_by_height(tin: Tin, xyz: Int32, scale: Scale) -> np.ndarray:
     """Ground is what lies within ``FLOOR_M + PER_SLOPE_M * slope`` above or below the TIN."""
     labels = np.full(xyz.shape[1], UNCLASSIFIED, np.uint8)
     _label(
-        tin.vertex_array, tin.triangle_array, *xyz, Locator.of(tin),
-        scale.counts_z(FLOOR_M), scale.counts(PER_SLOPE_M), labels,
-    )  # fmt: skip
+        tin.vertex_array,
+        tin.triangle_array,
+        *xyz,
+        Locator.of(tin),
+        scale.counts_z(FLOOR_M),
+        scale.counts(PER_SLOPE_M),
+        labels,
+    )
     return labels
 
 

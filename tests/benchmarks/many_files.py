@@ -58,9 +58,17 @@ def run_files(folder: Path, number: int, workers: int, *options: str) -> dict[st
     make_files(folder / "in", number)
     out = folder / "out"
     command = [
-        sys.executable, "-m", "cli.main", "run", str(folder / "in"), "-o", str(out), "--workers", str(workers),
+        sys.executable,
+        "-m",
+        "cli.main",
+        "run",
+        str(folder / "in"),
+        "-o",
+        str(out),
+        "--workers",
+        str(workers),
         *options,
-    ]  # fmt: skip
+    ]
     start = time.monotonic()
     with open(folder / "log.txt", "w", encoding="utf-8") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ})
@@ -78,12 +86,16 @@ def run_files(folder: Path, number: int, workers: int, *options: str) -> dict[st
     seconds = time.monotonic() - start
     summary = json.loads((out / "run.json").read_text())
     return {
-        "files": number, "code": process.returncode, "seconds": round(seconds, 1),
-        "seconds_per_1000_files": round(seconds / number * 1000, 1), "command_cpu_seconds": round(cpu, 1),
+        "files": number,
+        "code": process.returncode,
+        "seconds": round(seconds, 1),
+        "seconds_per_1000_files": round(seconds / number * 1000, 1),
+        "command_cpu_seconds": round(cpu, 1),
         "command_rss_mb": round(memory / 1e6),
-        "command_open_files": files, "worker_open_files": workers_files,
+        "command_open_files": files,
+        "worker_open_files": workers_files,
         "stages": {name: [s["tasks"], s["seconds"]] for name, s in summary["stages"].items()},
-    }  # fmt: skip
+    }
 
 
 def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
@@ -131,10 +143,13 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         }
         assembled = Assembled(records, {c: f"{i:032x}" for i, c in enumerate(cells)})
         store = create_store(str(Path(scratch) / "store.zarr"), plan.meta)
-        timed("allocate_and_publish", lambda: (
-            store.allocate(dict.fromkeys(cells, 100_000)),
-            store.publish_index({c: BucketInfo(100_000, 40_000) for c in cells}),
-        ))  # fmt: skip
+        timed(
+            "allocate_and_publish",
+            lambda: (
+                store.allocate(dict.fromkeys(cells, 100_000)),
+                store.publish_index({c: BucketInfo(100_000, 40_000) for c in cells}),
+            ),
+        )
         tasks = timed("filter_tasks", lambda: list(filter_tasks(plan, assembled, 0, {}, assembled.digests)))
         facts["tiles"] = len(tasks)
         labels = timed("label_digests", lambda: label_digests(assembled, {}))
@@ -148,9 +163,9 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
             for i in range(number // 20)
         }
         sources = [Source(plan.sources[0], i, f"{i:032x}") for i in range(number // 20)]
-        facts["sheets"] = len(timed("tasks_sheets", lambda: list(
-            cog_tasks(g, Inputs.of(sources, spooled), "x", scratch)
-        )))  # fmt: skip
+        facts["sheets"] = len(
+            timed("tasks_sheets", lambda: list(cog_tasks(g, Inputs.of(sources, spooled), "x", scratch)))
+        )
         timed("tasks_vrt", lambda: list(mosaic_tasks(g, "x", scratch)))
         if memory:
             return {"tables_and_tasks_mb": round(tracemalloc.get_traced_memory()[1] / 1e6)}

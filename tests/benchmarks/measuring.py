@@ -77,8 +77,12 @@ class Cell:
 def measure(name: str, run: Filter, scene: BenchScene, cloud: Cloud, repeats: int) -> Cell:
     """Run a filter on a scene: once for the labels, then for the time, which is left out where nothing is repeated."""
     cell = {
-        "method": name, "scene": scene.name, "family": scene.family, "group": scene.group, "points": len(cloud.xyz),
-    }  # fmt: skip
+        "method": name,
+        "scene": scene.name,
+        "family": scene.family,
+        "group": scene.group,
+        "points": len(cloud.xyz),
+    }
     try:
         ground = run(cloud)
     except ValueError as refusal:

@@ -91,9 +91,12 @@ def takes_part(name: str, scene: BenchScene) -> bool:
 
 
 def run_all(
-    scenes: Iterable[BenchScene], filters: Mapping[str, Entry], repeats: int, say: Callable[[str], None],
+    scenes: Iterable[BenchScene],
+    filters: Mapping[str, Entry],
+    repeats: int,
+    say: Callable[[str], None],
     kept: Kept | None = None,
-) -> list[Cell]:  # fmt: skip
+) -> list[Cell]:
     """Every filter on every scene, scene by scene, so that times of one scene stand beside one another."""
     kept = kept or Kept()
     rules = digest(digest_of_file(Path(measuring.__file__)), digest_of_modules("ptd.tin"))

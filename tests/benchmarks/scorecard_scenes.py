@@ -82,9 +82,9 @@ def read_clouds(paths: Sequence[Path]) -> Cloud:
     parts = [laspy.read(path) for path in paths]
     xyz = np.concatenate([np.asarray(part.xyz) for part in parts])
     classes = np.concatenate([np.asarray(part.classification, np.uint8) for part in parts])
-    returns = np.concatenate([
-        np.stack((np.asarray(p.return_number), np.asarray(p.number_of_returns)), axis=1) for p in parts
-    ]).astype(np.uint8)  # fmt: skip
+    returns = np.concatenate(
+        [np.stack((np.asarray(p.return_number), np.asarray(p.number_of_returns)), axis=1) for p in parts]
+    ).astype(np.uint8)
     rgb = None
     if all("red" in part.point_format.dimension_names for part in parts):
         rgb = np.concatenate(

@@ -37,9 +37,12 @@ ERRORS = "Type I / type II / total / kappa"
 
 
 def markdown(
-    cells: Sequence[Cell], reference: str, repeats: int, chosen: Mapping[str, LeaveOneOut] | None = None,
+    cells: Sequence[Cell],
+    reference: str,
+    repeats: int,
+    chosen: Mapping[str, LeaveOneOut] | None = None,
     missing: Mapping[str, str] | None = None,
-) -> str:  # fmt: skip
+) -> str:
     """The whole document.
 
     Parameters
@@ -192,10 +195,14 @@ def chosen_without(found: LeaveOneOut) -> str:
         f"`{name}` {', '.join(_value(v) for v in values)}" for name, values in found.grid.items()
     )
     rows = [
-        [fold.sample, ", ".join(f"{k} {_value(v)}" for k, v in fold.settings.items()) or "the default",
-         percent(fold.default), percent(fold.total)]
+        [
+            fold.sample,
+            ", ".join(f"{k} {_value(v)}" for k, v in fold.settings.items()) or "the default",
+            percent(fold.default),
+            percent(fold.total),
+        ]
         for fold in found.folds
-    ]  # fmt: skip
+    ]
     default, left_out = mean(f.default for f in found.folds), mean(f.total for f in found.folds)
     rows.append(["mean", "", percent(default), percent(left_out)])
     return (
@@ -238,10 +245,13 @@ def _published() -> str:
     """Figures of others, as printed."""
     samples = list(PER_SAMPLE[0].samples)
     per_sample = [
-        [entry.name, *(" / ".join(_number(v) for v in entry.samples[s]) for s in samples),
-         _number(mean(total for _, _, total in entry.samples.values()))]
+        [
+            entry.name,
+            *(" / ".join(_number(v) for v in entry.samples[s]) for s in samples),
+            _number(mean(total for _, _, total in entry.samples.values())),
+        ]
         for entry in PER_SAMPLE
-    ]  # fmt: skip
+    ]
     means = [
         [
             m.name,
@@ -258,14 +268,18 @@ def _published() -> str:
         [r.name, r.data, _number(r.residential, 3), _number(r.mountain, 3), _number(r.both, 3), r.source]
         for r in RMSES
     ]
-    return "\n".join((
-        "None of these was measured by this script: they are printed in the papers, on their authors' data, and often "
-        "tuned for each sample, or were measured earlier where it says so.\n",
-        "Type I / type II / total of the ISPRS samples that are open here, and the mean total:\n",
-        table(["published", *samples, "mean"], per_sample),
-        "Sources: " + "; ".join(dict.fromkeys(f"{entry.name}: {entry.source}" for entry in PER_SAMPLE)) + ".\n",
-        "Means:\n",
-        table(["published", "data", "type I", "type II", "total", "kappa", "source"], means),
-        "RMSE of DTMs, m:\n",
-        table(["published", "data", "residential", "mountain", "all", "source"], rmses),
-    ))  # fmt: skip
+    return "\n".join(
+        (
+            "None of these was measured by this script: they are printed in the papers, on their authors' data, and "
+            "often tuned for each sample, or were measured earlier where it says so.\n",
+            "Type I / type II / total of the ISPRS samples that are open here, and the mean total:\n",
+            table(["published", *samples, "mean"], per_sample),
+            "Sources: "
+            + "; ".join(dict.fromkeys(f"{entry.name}: {entry.source}" for entry in PER_SAMPLE))
+            + ".\n",
+            "Means:\n",
+            table(["published", "data", "type I", "type II", "total", "kappa", "source"], means),
+            "RMSE of DTMs, m:\n",
+            table(["published", "data", "residential", "mountain", "all", "source"], rmses),
+        )
+    )

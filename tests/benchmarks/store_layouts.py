@@ -117,9 +117,14 @@ class Layout:
         shuffle: Any = self.shuffle
         codec: Any = self.codec
         return group.create_array(
-            name, shape=shape, chunks=inner, shards=chunks if self.inner else None, dtype=WIDTHS[name][1],
-            compressors=[BloscCodec(cname=codec, clevel=self.level, shuffle=shuffle), Crc32cCodec()], filters=None,
-        )  # fmt: skip
+            name,
+            shape=shape,
+            chunks=inner,
+            shards=chunks if self.inner else None,
+            dtype=WIDTHS[name][1],
+            compressors=[BloscCodec(cname=codec, clevel=self.level, shuffle=shuffle), Crc32cCodec()],
+            filters=None,
+        )
 
     def reader(self, root: Path, cloud: Cloud) -> Callable[[Bucket, str, int], np.ndarray]:
         """A function that reads the first n points of a bucket's column."""

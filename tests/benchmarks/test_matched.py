@@ -69,8 +69,16 @@ def test_a_true_terrain_is_read_between_the_centres_of_its_pixels(tmp_path: Path
     centres = np.arange(0.25, side, 0.5)
     heights = 100 + 0.1 * centres[None, :] + 0.2 * centres[::-1, None]
     heights[:4] = -9999.0  # the north
-    profile = {"driver": "GTiff", "dtype": "float32", "count": 1, "width": 40, "height": 40, "nodata": -9999.0,
-               "transform": Affine(0.5, 0.0, west, 0.0, -0.5, south + side), "crs": "EPSG:32616"}  # fmt: skip
+    profile = {
+        "driver": "GTiff",
+        "dtype": "float32",
+        "count": 1,
+        "width": 40,
+        "height": 40,
+        "nodata": -9999.0,
+        "transform": Affine(0.5, 0.0, west, 0.0, -0.5, south + side),
+        "crs": "EPSG:32616",
+    }
     with rasterio.open(tmp_path / "dtm.tif", "w", **profile) as raster:
         raster.write(heights.astype(np.float32), 1)
     las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
@@ -136,9 +144,11 @@ def test_semi_real_scenes_are_not_averaged_with_real_ones() -> None:
     cells = [
         measuring.Cell("auto", name, group, group, 9, total=total)
         for name, group, total in (
-            ("a", "other real clouds", 0.1), ("b", SEMI_REAL, 0.3), ("c", "simulated things", 0.5),
+            ("a", "other real clouds", 0.1),
+            ("b", SEMI_REAL, 0.3),
+            ("c", "simulated things", 0.5),
         )
-    ]  # fmt: skip
+    ]
     text = markdown(cells, "auto", 1)
     assert "| all real (1) | - / - / **10.00** / - |" in text
     assert "| semi-real image matching (1) | - / - / **30.00** / - |" in text

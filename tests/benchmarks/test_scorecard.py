@@ -94,8 +94,11 @@ def test_what_was_measured_is_measured_again_only_where_its_sources_changed(tmp_
 def test_a_module_changes_with_what_it_imports_but_not_with_other_methods() -> None:
     found = {path.relative_to(kept.ROOT).as_posix() for path in kept.sources_of("ptd.methods.auto.method")}
     assert {
-        "ptd/methods/auto/method.py", "ptd/matched/passes.py", "ptd/kernel.py", "ptd/tin/mesh.py"
-    } <= found  # fmt: skip
+        "ptd/methods/auto/method.py",
+        "ptd/matched/passes.py",
+        "ptd/kernel.py",
+        "ptd/tin/mesh.py",
+    } <= found
     assert not any("dong" in path for path in found)
 
 

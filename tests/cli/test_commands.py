@@ -16,12 +16,16 @@ from cli.summary import score_lines, summary_lines
 from tiler.config import RunConfig
 
 SUMMARY: dict[str, Any] = {
-    "inputs": [{}, {}], "counts": {"stored": 3_000_000, "dropped": {"outside the area": 12}}, "seconds": 90.0,
-    "filter": {"ground": 2_000_000, "tiles": 6, "marked": 3}, "outputs": {"dtm.tif": 1000},
-    "dtm": {"width": 1200, "height": 600, "resolution_m": 0.5}, "peak_rss_bytes": 300 << 20,
+    "inputs": [{}, {}],
+    "counts": {"stored": 3_000_000, "dropped": {"outside the area": 12}},
+    "seconds": 90.0,
+    "filter": {"ground": 2_000_000, "tiles": 6, "marked": 3},
+    "outputs": {"dtm.tif": 1000},
+    "dtm": {"width": 1200, "height": 600, "resolution_m": 0.5},
+    "peak_rss_bytes": 300 << 20,
     "quarantined": [{"path": "bad.laz", "error": "bad.laz: cut short"}],
     "failed_tasks": [{"stage": "filter0", "key": "t+1", "error": "no memory"}],
-}  # fmt: skip
+}
 
 
 @dataclass
@@ -165,8 +169,16 @@ def test_ranges(minimum: float | None, maximum: float | None, text: str) -> None
     assert range_text(minimum, maximum) == text
 
 
-SCORES = {"points": 1000, "ignored": 7, "type_1": 0.0125, "type_2": None, "total": 0.01, "kappa": 0.975,
-          "unmatched_reference": 0, "unmatched_cloud": 3}  # fmt: skip
+SCORES = {
+    "points": 1000,
+    "ignored": 7,
+    "type_1": 0.0125,
+    "type_2": None,
+    "total": 0.01,
+    "kappa": 0.975,
+    "unmatched_reference": 0,
+    "unmatched_cloud": 3,
+}
 
 
 def test_scores() -> None:
@@ -261,9 +273,16 @@ def test_the_help_of_evaluate_names_the_classes_that_the_library_ignores() -> No
 
 
 def test_facts_are_aligned_and_nested() -> None:
-    facts = {"kind": "cloud", "size_bytes": 1234567, "crs": None, "bounds": [0.5, 2.0], "classes": {"2": 10, "17": 3},
-             "has_rgb": False, "notes": [],
-             "outputs": {"a_b.tif": 1, "A_B": 2}}  # fmt: skip
+    facts = {
+        "kind": "cloud",
+        "size_bytes": 1234567,
+        "crs": None,
+        "bounds": [0.5, 2.0],
+        "classes": {"2": 10, "17": 3},
+        "has_rgb": False,
+        "notes": [],
+        "outputs": {"a_b.tif": 1, "A_B": 2},
+    }
     assert fact_lines(facts) == [
         "kind        cloud",
         "size bytes  1,234,567",

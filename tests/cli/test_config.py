@@ -42,11 +42,20 @@ def test_every_kind_of_option(effective: Any) -> None:
         "--set", "rounds=3", "--set", "label_pass=no", "--store", "s3://bucket/key", "--aoi", "parcel.gpkg",
     )  # fmt: skip
     assert config == RunConfig(
-        resolution=Fraction(9144, 10000), halo=Fraction(0), memory=2 << 30, workers=3, keep_classes=(7, 18),
-        bounds=(-10.0, 0.0, 1.5, 2000.0), salvage=True, crs="none", units="ft,m", compress="zstd",
-        parameters=(("rounds", "3"), ("label_pass", "no")), store="s3://bucket/key",
+        resolution=Fraction(9144, 10000),
+        halo=Fraction(0),
+        memory=2 << 30,
+        workers=3,
+        keep_classes=(7, 18),
+        bounds=(-10.0, 0.0, 1.5, 2000.0),
+        salvage=True,
+        crs="none",
+        units="ft,m",
+        compress="zstd",
+        parameters=(("rounds", "3"), ("label_pass", "no")),
+        store="s3://bucket/key",
         aoi="parcel.gpkg",
-    )  # fmt: skip
+    )
 
 
 def test_products_come_in_their_order(effective: Any) -> None:

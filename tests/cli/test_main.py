@@ -103,9 +103,12 @@ def waiting(folder: Path) -> subprocess.Popen[str]:
         "    sys.exit(main(['info', 'x']))\n"
     )
     process = subprocess.Popen(
-        [sys.executable, folder / "waiting.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        [sys.executable, folder / "waiting.py"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
     return process

@@ -24,9 +24,14 @@ def run(
     *arguments: object, stdout: IO[bytes] | int, stderr: IO[bytes] | int
 ) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        command(*arguments), stdout=stdout, stderr=stderr, text=True, env=environment(), check=False,
+        command(*arguments),
+        stdout=stdout,
+        stderr=stderr,
+        text=True,
+        env=environment(),
+        check=False,
         timeout=TIMEOUT_SECONDS,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(

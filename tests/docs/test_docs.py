@@ -29,8 +29,12 @@ def blocks(page: Path) -> list[tuple[int, str]]:
 def test_parameters_are_those_of_the_source() -> None:
     made = subprocess.run(
         [sys.executable, "-c", "import reference, sys; sys.stdout.write(reference.page())"],
-        cwd=ROOT / "docs", env=environment(), capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        cwd=ROOT / "docs",
+        env=environment(),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert (ROOT / "docs/parameters.md").read_text("utf-8") == made.stdout, "run `python docs/reference.py`"
 
 
@@ -69,7 +73,12 @@ def test_every_command_works(page: Path, tmp_path: Path) -> None:
         port = str(free.getsockname()[1])
     for code, text in blocks(page):
         done = subprocess.run(
-            ["bash", "-euo", "pipefail", "-c", text.replace(PORT, port)], cwd=folder,
-            env={**environment(), "PATH": path}, capture_output=True, text=True, check=False, timeout=900,
-        )  # fmt: skip
+            ["bash", "-euo", "pipefail", "-c", text.replace(PORT, port)],
+            cwd=folder,
+            env={**environment(), "PATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=900,
+        )
         assert done.returncode == code, f"{text}\n{done.stdout}\n{done.stderr}"

@@ -30,9 +30,11 @@ def object_store() -> Iterator[dict[str, str]]:
     urllib.request.urlopen(reset, data=b"").close()
     try:
         yield {
-            "AWS_ENDPOINT_URL": f"http://{host}:{port}", "AWS_ACCESS_KEY_ID": "key",
-            "AWS_SECRET_ACCESS_KEY": "secret", "AWS_DEFAULT_REGION": "us-east-1",
-        }  # fmt: skip
+            "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+            "AWS_ACCESS_KEY_ID": "key",
+            "AWS_SECRET_ACCESS_KEY": "secret",
+            "AWS_DEFAULT_REGION": "us-east-1",
+        }
     finally:
         server.stop()
 
@@ -91,9 +93,12 @@ class Cluster:
     def _start(self, *arguments: str, **variables: str) -> subprocess.Popen[bytes]:
         with open(self.folder / f"log-{len(self._processes)}", "wb") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", *arguments], cwd=self.folder, stdout=log, stderr=log,
+                [sys.executable, "-m", *arguments],
+                cwd=self.folder,
+                stdout=log,
+                stderr=log,
                 env={**environment(), **self._variables, **variables},
-            )  # fmt: skip
+            )
         self._processes.append(process)
         return process
 

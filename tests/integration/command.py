@@ -25,9 +25,13 @@ def command(*arguments: object) -> list[str]:
 def tiler(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
     return subprocess.run(
-        command(*arguments), capture_output=True, text=True, env=environment(), check=False,
+        command(*arguments),
+        capture_output=True,
+        text=True,
+        env=environment(),
+        check=False,
         timeout=TIMEOUT_SECONDS,
-    )  # fmt: skip
+    )
 
 
 def assert_one_line(error: str, *parts: str) -> None:

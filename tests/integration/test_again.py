@@ -73,8 +73,11 @@ def test_advice_on_the_terrain_is_given_again(
 
 def test_another_resolution_only_grids(out: Path, demo: DemoScene) -> None:
     assert again(demo, out, resolution="0.5") == {
-        "grid-dtm": 1, "grid-survey": 1, "grid-dtm-outlined": 1, "export": 1,
-    }  # fmt: skip
+        "grid-dtm": 1,
+        "grid-survey": 1,
+        "grid-dtm-outlined": 1,
+        "export": 1,
+    }
 
 
 def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScene) -> None:

@@ -65,9 +65,16 @@ def test_files_of_others_stay_whatever_their_names(tmp_path: Path) -> None:
     do([clouds.write(tmp_path / "in" / "a.laz", clouds.city(64.0))], out)
     elsewhere.mkdir()
     (out / "linked").symlink_to(elsewhere)
-    mine = ["download.laz.partial", "a.partial.zip", "notes/.tiler-a.laz.partial", "classified/b.laz.partial",
-            "store.zarr/x.partial", "store.zarr/spool/notes.txt", "linked/.tiler-c.partial",
-            ".tiler-notes"]  # fmt: skip
+    mine = [
+        "download.laz.partial",
+        "a.partial.zip",
+        "notes/.tiler-a.laz.partial",
+        "classified/b.laz.partial",
+        "store.zarr/x.partial",
+        "store.zarr/spool/notes.txt",
+        "linked/.tiler-c.partial",
+        ".tiler-notes",
+    ]
     for name in mine:
         (out / name).parent.mkdir(exist_ok=True)
         (out / name).write_bytes(b"mine")

@@ -19,9 +19,7 @@ from tiler.version import __version__
 
 pytestmark = pytest.mark.slow
 
-OPTIONS = (
-    "--method", "classic", "--resolution", 1, "--tile-size", 64, "--halo", 80, "--memory", "1GiB",
-)  # fmt: skip
+OPTIONS = ("--method", "classic", "--resolution", 1, "--tile-size", 64, "--halo", 80, "--memory", "1GiB")
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +59,12 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 
 def start(*arguments: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        command("run", *arguments, *OPTIONS), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        command("run", *arguments, *OPTIONS),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         env=environment(),
-    )  # fmt: skip
+    )
 
 
 def ended(process: subprocess.Popen[str]) -> str:
@@ -205,9 +206,10 @@ def test_a_worker_with_another_version(cluster: Cluster, cloud: Path, tmp_path: 
         done = tiler(*arguments, "--scheduler", cluster.address, *OPTIONS)
         assert done.returncode == 2
         assert_one_line(
-            done.stderr.splitlines()[-1], f"--scheduler {cluster.address}: worker tcp://127.0.0.1:",
+            done.stderr.splitlines()[-1],
+            f"--scheduler {cluster.address}: worker tcp://127.0.0.1:",
             f"has tiler 0.0.9, here {__version__}; install the same versions",
-        )  # fmt: skip
+        )
     assert json.loads((tmp_path / "out/run.json").read_text())["state"] == "interrupted"
 
 
@@ -217,8 +219,16 @@ def test_workers_without_credentials(bucket: Any, cluster: Cluster, tmp_path: Pa
     cluster.wait_for(1)
     store = f"s3://{BUCKET}/denied"
     done = tiler(
-        "run", f"s3://{BUCKET}/clouds", "-o", tmp_path / "out", "--store", store, "--scheduler", cluster.address,
-        *OPTIONS, "-q",
-    )  # fmt: skip
+        "run",
+        f"s3://{BUCKET}/clouds",
+        "-o",
+        tmp_path / "out",
+        "--store",
+        store,
+        "--scheduler",
+        cluster.address,
+        *OPTIONS,
+        "-q",
+    )
     assert done.returncode == 2
     assert_one_line(done.stderr.splitlines()[-1], "cannot read s3://", "credentials that the workers have")

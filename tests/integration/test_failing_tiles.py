@@ -51,9 +51,14 @@ def deadly_cells(
     ],
 )
 def test_a_deadly_tile_leaves_a_hole_that_is_told(
-    deed: str, cause: str, settings: dict[str, int], cloud: Path, tmp_path: Path,
-    deadly_cells: list[list[int]], monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    deed: str,
+    cause: str,
+    settings: dict[str, int],
+    cloud: Path,
+    tmp_path: Path,
+    deadly_cells: list[list[int]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     out = tmp_path / "out"
     monkeypatch.setenv(deadly.DEED, deed)
     parameters = {"iteration_distance": "1.39"}
@@ -66,14 +71,16 @@ def test_a_deadly_tile_leaves_a_hole_that_is_told(
     assert failed["bounds"] == [
         edge / COUNTS_PER_UNIT
         for edge in (
-            lattice.first(min(x for x, _ in deadly_cells)), lattice.first(min(y for _, y in deadly_cells)),
-            lattice.first(max(x for x, _ in deadly_cells) + 1), lattice.first(max(y for _, y in deadly_cells) + 1),
+            lattice.first(min(x for x, _ in deadly_cells)),
+            lattice.first(min(y for _, y in deadly_cells)),
+            lattice.first(max(x for x, _ in deadly_cells) + 1),
+            lattice.first(max(y for _, y in deadly_cells) + 1),
         )
-    ]  # fmt: skip
+    ]
     events = [json.loads(line) for line in (out / "events.jsonl").read_text().splitlines()]
-    assert [e["event"] for e in events if e["event"].startswith("task_") and e["key"] == failed["key"]][-3:] == [
-        "task_again", "task_again", "task_failed",
-    ]  # fmt: skip
+    assert [e["event"] for e in events if e["event"].startswith("task_") and e["key"] == failed["key"]][
+        -3:
+    ] == ["task_again", "task_again", "task_failed"]
     west, south, east, north = failed["bounds"]
     before, after = laspy.read(cloud), laspy.read(out / "classified" / cloud.name)
     inside = (before.x >= west) & (before.x < east) & (before.y >= south) & (before.y < north)

@@ -118,8 +118,9 @@ def test_two_sites_400_km_apart(in_one_file: bool, tmp_path: Path) -> None:
     result = do(inputs, tmp_path / "out", sheets="50", **KEEP)
     assert result.exit_code == 0
     assert {p.name for p in (tmp_path / "out" / "dtm").iterdir()} == {
-        "dtm_500000_5000000.tif", "dtm_900000_5400000.tif",
-    }  # fmt: skip
+        "dtm_500000_5000000.tif",
+        "dtm_900000_5400000.tif",
+    }
     assert result.summary["plan"]["projected_disk_bytes"] < 50e6
     assert (tmp_path / "out" / "report.html").exists()
     vrt = tmp_path / "out" / "dtm.vrt"  # whoever reads it does not look at what lies between

@@ -118,8 +118,15 @@ def test_a_file_that_comes_while_the_run_goes_on_is_not_replaced(
     assert (out / "dtm.tif").read_bytes() == b"mine, not a run's"
 
 
-@pytest.mark.parametrize("where", ["tiler.runs.job.write_run_file", "tiler.export.cog._publish",
-                                   "tiler.export.classified._write_back", "tiler.stages.export._basis"])  # fmt: skip
+@pytest.mark.parametrize(
+    "where",
+    [
+        "tiler.runs.job.write_run_file",
+        "tiler.export.cog._publish",
+        "tiler.export.classified._write_back",
+        "tiler.stages.export._basis",
+    ],
+)
 def test_a_killed_run_knows_its_own_files(where: str, cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert ended(forked(killed_at, where, cloud, out)) == 9

@@ -38,9 +38,14 @@ def imported(folder: Path) -> list[str]:
 def tiler(folder: Path, *arguments: object, path: str = str(ROOT)) -> subprocess.CompletedProcess[str]:
     """A command from there, as the installed script starts it: without the current folder in its path."""
     return subprocess.run(
-        [sys.executable, "-P", "-m", "cli.main", *map(str, arguments)], capture_output=True, text=True, check=False,
-        cwd=folder, env={**os.environ, "PYTHONPATH": path}, timeout=TIMEOUT_SECONDS,
-    )  # fmt: skip
+        [sys.executable, "-P", "-m", "cli.main", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path},
+        timeout=TIMEOUT_SECONDS,
+    )
 
 
 @pytest.mark.slow
@@ -74,9 +79,13 @@ def test_settings_of_the_compiler_that_lie_there_are_not_read(folder: Path) -> N
     (folder / ".numba_config.yaml").write_text("disable_jit: 1\n")
     code = "from ptd import kernel; print(kernel.config.DISABLE_JIT)"
     done = subprocess.run(
-        [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True, cwd=folder,
+        [sys.executable, "-P", "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=folder,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    )
     assert done.stdout == "0\n"
 
 

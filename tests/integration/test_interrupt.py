@@ -60,9 +60,13 @@ def start(interruptible: None) -> Iterator[Start]:
 
     def begin(cloud: Path, out: Path) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            command("run", cloud, "-o", out, *OPTIONS), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            env=environment(), start_new_session=True,
-        )  # fmt: skip
+            command("run", cloud, "-o", out, *OPTIONS),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(),
+            start_new_session=True,
+        )
         started.append(process)
         return process
 

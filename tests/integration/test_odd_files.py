@@ -25,9 +25,14 @@ from tests.integration.command import assert_one_line, tiler
 
 NO_CRS = "has no CRS"
 NO_CRS_FILES = (
-    "extra.laz", "gps-time-nan.las", "noise-dirty.las", "simple1_3.las", "test_noepsg_043500_629205_IGN69.laz",
-    "vegetation_1_3.las", "warsaw_small.las",
-)  # fmt: skip
+    "extra.laz",
+    "gps-time-nan.las",
+    "noise-dirty.las",
+    "simple1_3.las",
+    "test_noepsg_043500_629205_IGN69.laz",
+    "vegetation_1_3.las",
+    "warsaw_small.las",
+)
 REFUSED = {
     "1.2-no-points.las": "says 1065 points, has room for 0",
     "1.2-with-color-clipped.las": "says 1065 points, has room for 1064",
@@ -39,9 +44,13 @@ REFUSED = {
     **dict.fromkeys(NO_CRS_FILES, NO_CRS),
 }
 READ = (
-    "1.0_0.las", "4_6_crop.las", "bad_vlr_count.las", "file_with_both_wkt_and_geotiff_vlrs.las", "fullwave.laz",
+    "1.0_0.las",
+    "4_6_crop.las",
+    "bad_vlr_count.las",
+    "file_with_both_wkt_and_geotiff_vlrs.las",
+    "fullwave.laz",
     "simple.copc.laz",
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")

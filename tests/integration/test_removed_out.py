@@ -14,9 +14,13 @@ from tiler.errors import ProcessingError
 from tiler.stages import file_tasks, tasks
 
 WORKS = {
-    "spool_piece": tasks, "assemble_buckets": tasks, "filter_tile": tasks, "grid_block": tasks, "write_cog": file_tasks,
+    "spool_piece": tasks,
+    "assemble_buckets": tasks,
+    "filter_tile": tasks,
+    "grid_block": tasks,
+    "write_cog": file_tasks,
     "write_classified": tasks,
-}  # fmt: skip
+}
 
 
 @pytest.fixture

@@ -78,8 +78,12 @@ def works(process: psutil.Process) -> bool:
 def interrupted(call: list[str], after: float, figures: Figures, **variables: str) -> None:
     """Start a command, send SIGTERM after some seconds, and see what becomes of it."""
     process = subprocess.Popen(
-        command(*call), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env={**environment(), **variables}
-    )  # fmt: skip
+        command(*call),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**environment(), **variables},
+    )
     time.sleep(after)
     children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
     began = time.monotonic()

@@ -151,8 +151,11 @@ def test_the_stages_one_by_one_are_the_whole_job(
 
     passes = {f"filter{i}" for i in range(PASSES)}
     for until, stages in (
-        ("ingest", {"spool", "assemble"}), ("filter", passes), ("grid", set(GRID)), ("export", {"export"}),
-    ):  # fmt: skip
+        ("ingest", {"spool", "assemble"}),
+        ("filter", passes),
+        ("grid", set(GRID)),
+        ("export", {"export"}),
+    ):
         result = do(list(demo.paths), tmp_path / "out", until=until, tile_size="128", method="auto")
         assert {stage for stage, n in computed(result).items() if n} == stages
     assert output_digests(tmp_path / "out") == output_digests(default_run[0])

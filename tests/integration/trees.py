@@ -117,9 +117,17 @@ def raster_bytes() -> bytes:
         path = Path(folder) / "d.tif"
         heights = np.full((12, 12), 100, np.float32) + 0.1 * np.arange(12, dtype=np.float32)
         with rasterio.open(
-            path, "w", driver="GTiff", height=12, width=12, count=1, dtype="float32", nodata=-9999.0,
-            crs="EPSG:25832", transform=Affine(1, 0, WEST, 0, -1, SOUTH + SIDE),
-        ) as raster:  # fmt: skip
+            path,
+            "w",
+            driver="GTiff",
+            height=12,
+            width=12,
+            count=1,
+            dtype="float32",
+            nodata=-9999.0,
+            crs="EPSG:25832",
+            transform=Affine(1, 0, WEST, 0, -1, SOUTH + SIDE),
+        ) as raster:
             raster.write(heights, 1)
         return path.read_bytes()
 

@@ -71,9 +71,13 @@ def flight_line(cloud: Cloud) -> Cloud:
 
 
 SHAPES: dict[str, Callable[[Cloud], Cloud]] = {
-    "full": lambda cloud: cloud, "void": void, "river": river, "l-shape": l_shape, "islands": islands,
+    "full": lambda cloud: cloud,
+    "void": void,
+    "river": river,
+    "l-shape": l_shape,
+    "islands": islands,
     "flight line": flight_line,
-}  # fmt: skip
+}
 
 
 def quarters(cloud: Cloud) -> list[Cloud]:

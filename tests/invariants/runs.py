@@ -25,9 +25,15 @@ def settings(**changes: Any) -> RunConfig:
     `classic` unless said otherwise: one pass, so that runs by the hundred are quick.
     """
     values: dict[str, Any] = {
-        "workers": 1, "resolution": "1", "tile_size": "64", "halo": "80", "memory": "1GiB", "in_process": True,
-        "method": "classic", **changes,
-    }  # fmt: skip
+        "workers": 1,
+        "resolution": "1",
+        "tile_size": "64",
+        "halo": "80",
+        "memory": "1GiB",
+        "in_process": True,
+        "method": "classic",
+        **changes,
+    }
     return RunConfig.from_mapping(values)
 
 

@@ -17,9 +17,12 @@ from tiler.core.area import Area
 from tiler.core.products import PRODUCTS
 
 SETTINGS = {
-    "halo": "15", "max_edge": "15", "tile_size": "32", "products": list(PRODUCTS),
+    "halo": "15",
+    "max_edge": "15",
+    "tile_size": "32",
+    "products": list(PRODUCTS),
     "parameters": {"max_building_size": "20"},
-}  # fmt: skip
+}
 """A margin that is narrow against the 192 m of the scene: the outermost buckets are left out."""
 
 WEST, SOUTH = CORNER

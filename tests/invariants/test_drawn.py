@@ -29,10 +29,17 @@ Features = list[tuple[Any, dict[str, Any]]]
 def draw(path: Path, features: Features) -> str:
     """A file of features in metres from `CORNER`."""
     found = [
-        {"type": "Feature", "properties": columns, "geometry": shapely.geometry.mapping(shapely.transform(
-            shape, lambda xyz: xyz + np.array([EAST, NORTH, 0])[: xyz.shape[1]], include_z=shape.has_z))}
+        {
+            "type": "Feature",
+            "properties": columns,
+            "geometry": shapely.geometry.mapping(
+                shapely.transform(
+                    shape, lambda xyz: xyz + np.array([EAST, NORTH, 0])[: xyz.shape[1]], include_z=shape.has_z
+                )
+            ),
+        }
         for shape, columns in features
-    ]  # fmt: skip
+    ]
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}}
     path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": found}))
     return str(path)
@@ -108,9 +115,11 @@ def test_a_plane_stays_one(tmp_path: Path) -> None:
     ring = shapely.Polygon([(*p, plane(*np.array(p))) for p in ((8, 8), (24, 8), (24, 40), (8, 40))])
     drawn = [(line((0, 4), (56, 4), (56, 52)), {}), (line((4, 56), (20, 40), (52, 8)), {}), (ring, {})]
     do(
-        written(tmp_path / "plane.laz", cloud), tmp_path / "out", method="keep",
+        written(tmp_path / "plane.laz", cloud),
+        tmp_path / "out",
+        method="keep",
         breaklines=draw(tmp_path / "l.json", drawn),
-    )  # fmt: skip
+    )
     y, x = np.mgrid[1:58, 1:58] + 0.5
     assert np.abs(pixels(tmp_path / "out")[1:58, 1:58] - plane(x, y)).max() < 1.1e-3
 
@@ -137,10 +146,13 @@ def drawings(folder: Path) -> dict[str, str]:
         (shapely.Polygon([(20, 150), (60, 150), (20, 180)]), {"action": "flat", "z": 104.25}),
     ]
     return {
-        "breaklines": draw(folder / "lines.json", lines), "edits": draw(folder / "edits.json", edits),
-        "products": "dtm,mask,contours,spots", "contour_interval": "0.5", "contour_smooth": "0",
+        "breaklines": draw(folder / "lines.json", lines),
+        "edits": draw(folder / "edits.json", edits),
+        "products": "dtm,mask,contours,spots",
+        "contour_interval": "0.5",
+        "contour_smooth": "0",
         "resolution": str(PIXEL),
-    }  # fmt: skip
+    }
 
 
 @pytest.fixture(scope="module")

@@ -44,8 +44,14 @@ def peaks(folder: Path) -> dict:
 def shifted(las: bytes, east: float, north: float) -> bytes:
     """A LAS file elsewhere, by its header alone."""
     moved = bytearray(las)
-    for place, by in ((OFFSET_X, east), (MAX_X, east), (MIN_X, east), (OFFSET_X + Y_AFTER_OFFSET, north),
-                      (MAX_X + Y_AFTER_BOUNDS, north), (MIN_X + Y_AFTER_BOUNDS, north)):  # fmt: skip
+    for place, by in (
+        (OFFSET_X, east),
+        (MAX_X, east),
+        (MIN_X, east),
+        (OFFSET_X + Y_AFTER_OFFSET, north),
+        (MAX_X + Y_AFTER_BOUNDS, north),
+        (MIN_X + Y_AFTER_BOUNDS, north),
+    ):
         struct.pack_into("<d", moved, place, struct.unpack_from("<d", moved, place)[0] + by)
     return bytes(moved)
 
@@ -70,6 +76,11 @@ def test_four_times_the_points_take_no_more_memory(tmp_path: Path) -> None:
     assert large["command"] <= small["command"] + (64 << 20)
     projected, allowed = large["plan"]["projected_memory_bytes"], large["plan"]["memory_bytes"]
     assert max(projected.values()) <= allowed
-    for what, stage in (("spool", "ingest"), ("assemble", "ingest"), ("filter0", "filter"), ("grid-dtm", "grid"),
-                        ("export", "export")):  # fmt: skip
+    for what, stage in (
+        ("spool", "ingest"),
+        ("assemble", "ingest"),
+        ("filter0", "filter"),
+        ("grid-dtm", "grid"),
+        ("export", "export"),
+    ):
         assert large[what] <= projected[stage], what

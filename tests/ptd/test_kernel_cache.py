@@ -113,9 +113,15 @@ def test_another_user_has_the_kernels_of_root() -> None:
 
         def told(user: int) -> list[str]:
             done = subprocess.run(
-                [sys.executable, "-c", script], env=variables, user=user, capture_output=True, text=True, check=True,
-                extra_groups=[], group=user,
-            )  # fmt: skip
+                [sys.executable, "-c", script],
+                env=variables,
+                user=user,
+                capture_output=True,
+                text=True,
+                check=True,
+                extra_groups=[],
+                group=user,
+            )
             return done.stdout.split()
 
         assert told(0)[1] == "1"

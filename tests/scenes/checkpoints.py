@@ -12,9 +12,13 @@ def checkpoints(
 ) -> Checkpoints:
     n = len(z)
     return Checkpoints(
-        np.array([x, y], float), np.asarray(z, float), tuple(kinds or ["NVA"] * n), ("",) * n,
-        tuple(str(i) for i in range(n)), crs,
-    )  # fmt: skip
+        np.array([x, y], float),
+        np.asarray(z, float),
+        tuple(kinds or ["NVA"] * n),
+        ("",) * n,
+        tuple(str(i) for i in range(n)),
+        crs,
+    )
 
 
 def scattered(n: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:

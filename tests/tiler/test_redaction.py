@@ -14,7 +14,10 @@ from tiler.store.storage import Storage
 @pytest.mark.parametrize(
     ("text", "rest"),
     [
-        ("https://anna:pw@host:80/town.laz?token=t: cannot be read", "https://host:80/town.laz: cannot be read"),
+        (
+            "https://anna:pw@host:80/town.laz?token=t: cannot be read",
+            "https://host:80/town.laz: cannot be read",
+        ),
         ("https://TOKEN@host/x", "https://host/x"),
         ("two: http://a:b@c/x?y, and (ftp://d:e@f/z?w=1).", "two: http://c/x, and (ftp://f/z)."),
         ("URL('https://host/x?sig=abc')", "URL('https://host/x')"),
@@ -27,11 +30,14 @@ from tiler.store.storage import Storage
         # Nothing that is no secret is lost.
         ("s3://bucket/a@b.laz: gone", "s3://bucket/a@b.laz: gone"),
         ("http://[::1]:80/x@y", "http://[::1]:80/x@y"),
-        ("abfs://container@account.dfs.core.windows.net/x", "abfs://container@account.dfs.core.windows.net/x"),
+        (
+            "abfs://container@account.dfs.core.windows.net/x",
+            "abfs://container@account.dfs.core.windows.net/x",
+        ),
         ("s3://b/k: is that so? yes", "s3://b/k: is that so? yes"),
         ("a?b@c d.laz", "a?b@c d.laz"),
     ],
-)  # fmt: skip
+)
 def test_urls_lose_user_password_and_query(text: str, rest: str) -> None:
     assert without_secrets(text) == rest
     assert without_secrets(rest) == rest

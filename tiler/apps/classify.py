@@ -81,20 +81,28 @@ def _classify(
         summary = run([str(source)], scratch, config.updated(store=None), listener, until="filter").summary
         store = open_store(str(Path(scratch) / STORE))
         work = WriteClassified(
-            path=str(source), source=0, out=str(target), labels=LABELS, cells=tuple(store.buckets()),
-            salvage=config.salvage, stamp=info.stamp,
-        )  # fmt: skip
+            path=str(source),
+            source=0,
+            out=str(target),
+            labels=LABELS,
+            cells=tuple(store.buckets()),
+            salvage=config.salvage,
+            stamp=info.stamp,
+        )
         if config.in_process:
             record = write_classified(store.url, work)
         else:  # other fields of the records are decoded now, which may crash where the coordinates did not
             record = read_guarded(guard, _write, source, store.url, work)
     written = {name: record[name] for name in ("points", "changed", "classes", "bytes", "notes")}
     return {
-        **written, "seconds": summary["seconds"], "method": config.method,
-        "parameters": summary["plan"]["parameters"], "tiles": summary["filter"]["tiles"],
+        **written,
+        "seconds": summary["seconds"],
+        "method": config.method,
+        "parameters": summary["plan"]["parameters"],
+        "tiles": summary["filter"]["tiles"],
         "marked": summary["filter"]["marked"],
         "failed_tasks": summary["failed_tasks"],
-    }  # fmt: skip
+    }
 
 
 def _write(source: Path, store_url: str, work: WriteClassified) -> dict[str, Any]:

@@ -98,7 +98,9 @@ def _refuse_foreign_files(out: Path, config: RunConfig) -> None:
 
 def _score_classes(out: Path, scene: DemoScene) -> dict[str, Any]:
     """The errors over all clouds together, and of each."""
-    return evaluate_scenes([
-        Scene(path.stem, out / CLASSIFIED / path.name, truth)
-        for path, truth in zip(scene.paths, scene.truth_paths, strict=True)
-    ])  # fmt: skip
+    return evaluate_scenes(
+        [
+            Scene(path.stem, out / CLASSIFIED / path.name, truth)
+            for path, truth in zip(scene.paths, scene.truth_paths, strict=True)
+        ]
+    )

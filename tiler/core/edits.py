@@ -61,9 +61,12 @@ class Edit:
     def to_json(self) -> dict[str, Any]:
         """A JSON-able description."""
         return {
-            "number": self.number, "action": self.action, "rings": self.area.to_json(), "z": self.z,
+            "number": self.number,
+            "action": self.action,
+            "rings": self.area.to_json(),
+            "z": self.z,
             "lowest": self.lowest,
-        }  # fmt: skip
+        }
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Edit:

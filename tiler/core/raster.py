@@ -133,8 +133,11 @@ class RasterSpec:
         """A JSON-able description; `from_json` reads it back."""
         return {
             "lattice": self.lattice.to_json(),
-            "west": self.west, "north": self.north, "height": self.height, "width": self.width,
-        }  # fmt: skip
+            "west": self.west,
+            "north": self.north,
+            "height": self.height,
+            "width": self.width,
+        }
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> RasterSpec:

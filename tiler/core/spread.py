@@ -94,8 +94,17 @@ def _summary(values: Float64s, counts: Int64s, square: float, mean: float, large
     (deviation,) = _quantiles_of_absolute(values - middle, counts, (50,))
     (absolute,) = _quantiles_of_absolute(values, counts, (95,))
     figures = (
-        np.sqrt(square), mean, middle, NMAD_FACTOR * deviation, low, quarter, three_quarters, high, absolute, largest,
-    )  # fmt: skip
+        np.sqrt(square),
+        mean,
+        middle,
+        NMAD_FACTOR * deviation,
+        low,
+        quarter,
+        three_quarters,
+        high,
+        absolute,
+        largest,
+    )
     return {name: float(value) for name, value in zip(NAMES, figures, strict=True)}
 
 

@@ -164,18 +164,30 @@ def raster_look(frame: CoordFrame, work: ProductFile) -> RasterLook:
     product = _product(work)
     unit = unit_label(frame.units.vertical) if product.unit == HEIGHT else product.unit
     return RasterLook(
-        frame.crs_wkt, unit, product.description, work.tags, product.dtype, product.nodata, product.colours,
+        frame.crs_wkt,
+        unit,
+        product.description,
+        work.tags,
+        product.dtype,
+        product.nodata,
+        product.colours,
         {f"VALUE_{value}": text for value, text in product.values.items()},
-    )  # fmt: skip
+    )
 
 
 def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) -> None:
     """Let GDAL order, compress and build overviews, in one thread and bounded memory."""
     options = {
-        "COMPRESS": compress.upper(), "PREDICTOR": product.predictor, "OVERVIEW_PREDICTOR": product.predictor,
-        "BLOCKSIZE": BLOCK_PIXELS, "OVERVIEW_RESAMPLING": product.resampling, "OVERVIEWS": "AUTO",
-        "BIGTIFF": "IF_SAFER", "NUM_THREADS": 1, "STATISTICS": "AUTO",  # AUTO: those that are there
-    }  # fmt: skip
+        "COMPRESS": compress.upper(),
+        "PREDICTOR": product.predictor,
+        "OVERVIEW_PREDICTOR": product.predictor,
+        "BLOCKSIZE": BLOCK_PIXELS,
+        "OVERVIEW_RESAMPLING": product.resampling,
+        "OVERVIEWS": "AUTO",
+        "BIGTIFF": "IF_SAFER",
+        "NUM_THREADS": 1,
+        "STATISTICS": "AUTO",  # AUTO: those that are there
+    }
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, GDAL_NUM_THREADS=1), raster_errors(partial):
         partial.unlink(missing_ok=True)
         rasterio.shutil.copy(plain, partial, driver="COG", **options)

@@ -102,9 +102,13 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
 
     return {
         **_written(terrain, work.out, "contours", fill),
-        "interval": float(interval), "lines": int(counts[0]), "vertices": int(counts[1]), "cut": joiner.cut,
-        "low": None if np.isnan(low) else low, "high": None if np.isnan(high) else high,
-    }  # fmt: skip
+        "interval": float(interval),
+        "lines": int(counts[0]),
+        "vertices": int(counts[1]),
+        "cut": joiner.cut,
+        "low": None if np.isnan(low) else low,
+        "high": None if np.isnan(high) else high,
+    }
 
 
 def _interval(given: Fraction | None, low: float, high: float) -> Fraction:

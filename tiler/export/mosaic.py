@@ -108,9 +108,14 @@ def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: Ra
     ElementTree.SubElement(source, "SourceBand").text = "1"
     wide, high = str(spec.width), str(spec.height)
     ElementTree.SubElement(
-        source, "SourceProperties", RasterXSize=wide, RasterYSize=high, DataType=kind, BlockXSize=str(BLOCK_PIXELS),
+        source,
+        "SourceProperties",
+        RasterXSize=wide,
+        RasterYSize=high,
+        DataType=kind,
+        BlockXSize=str(BLOCK_PIXELS),
         BlockYSize=str(BLOCK_PIXELS),
-    )  # fmt: skip
+    )
     ElementTree.SubElement(source, "SrcRect", xOff="0", yOff="0", xSize=wide, ySize=high)
     ElementTree.SubElement(
         source,

@@ -119,8 +119,9 @@ def _elect(store: TileStore, cells: Sequence[Cell], model: Model, name: str) -> 
         found[cell] = model.elect(_local(store.meta.bucket.bounds(cell), store))
         store.write_elected(name, cell, found[cell])
     return {
-        "elected": digest_of_arrays(found.values()), "elected_points": [int(xyz.shape[1]) for xyz in found.values()]
-    }  # fmt: skip
+        "elected": digest_of_arrays(found.values()),
+        "elected_points": [int(xyz.shape[1]) for xyz in found.values()],
+    }
 
 
 def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Known]:
@@ -149,9 +150,11 @@ def _known(store: TileStore, window: Bounds, reach: int) -> Known:
     south = empty(Bounds(wide.x0, wide.y0, wide.x1, window.y0))
     north = empty(Bounds(wide.x0, window.y1, wide.x1, wide.y1))
     return Known(
-        -OPEN if west else window.x0 - ox, -OPEN if south else window.y0 - oy,
-        OPEN if east else window.x1 - ox, OPEN if north else window.y1 - oy,
-    )  # fmt: skip
+        -OPEN if west else window.x0 - ox,
+        -OPEN if south else window.y0 - oy,
+        OPEN if east else window.x1 - ox,
+        OPEN if north else window.y1 - oy,
+    )
 
 
 def _local(bounds: Bounds, store: TileStore) -> Known:

@@ -229,10 +229,15 @@ def _by_bucket(store: TileStore, work: GridBlock) -> bool:
 def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels:
     """The pixels of a block, as kernels want them."""
     return Pixels(
-        spec.lattice.p, spec.lattice.q,
-        left=spec.west + block.col, top=spec.north - 1 - block.row, columns=block.width, rows=block.height,
-        origin_x=origin[0], origin_y=origin[1],
-    )  # fmt: skip
+        spec.lattice.p,
+        spec.lattice.q,
+        left=spec.west + block.col,
+        top=spec.north - 1 - block.row,
+        columns=block.width,
+        rows=block.height,
+        origin_x=origin[0],
+        origin_y=origin[1],
+    )
 
 
 def rasterise_window(store: TileStore, work: TinBlock, window: Bounds, xyz: npt.NDArray[np.int32]) -> Raster:
@@ -245,13 +250,19 @@ def rasterise_window(store: TileStore, work: TinBlock, window: Bounds, xyz: npt.
             Tin.build(xyz[0], xyz[1], xyz[2]),
             pixels,
             interpolator="natural" if work.interpolation == "natural" else "linear",
-            max_edge=limit, max_radius=limit,
+            max_edge=limit,
+            max_radius=limit,
             window=Window(
-                window.x0 - east, window.y0 - north, window.x1 - east, window.y1 - north,
-                open_west=window.x0 <= work.data.x0, open_south=window.y0 <= work.data.y0,
-                open_east=window.x1 >= work.data.x1, open_north=window.y1 >= work.data.y1,
+                window.x0 - east,
+                window.y0 - north,
+                window.x1 - east,
+                window.y1 - north,
+                open_west=window.x0 <= work.data.x0,
+                open_south=window.y0 <= work.data.y0,
+                open_east=window.x1 >= work.data.x1,
+                open_north=window.y1 >= work.data.y1,
             ),
-        )  # fmt: skip
+        )
         if work.interpolation != "idw":
             return raster
         heights, distance = inverse_distance(xyz[0], xyz[1], xyz[2], pixels, limit)

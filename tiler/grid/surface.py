@@ -86,10 +86,18 @@ def surface_heights(
             break
         tries += 1
     filled = int(np.count_nonzero(heights != np.float32(NODATA)))
-    return heights, measured, {
-        "pixels": heights.size, "filled": filled, "measured": int(measured.sum()), "marked": marked, "tries": tries,
-        "halo": halo,
-    }  # fmt: skip
+    return (
+        heights,
+        measured,
+        {
+            "pixels": heights.size,
+            "filled": filled,
+            "measured": int(measured.sum()),
+            "marked": marked,
+            "tries": tries,
+            "halo": halo,
+        },
+    )
 
 
 def _vertices(store: TileStore, work: SurfaceBlock, window: Bounds) -> Int32:

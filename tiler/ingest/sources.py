@@ -96,12 +96,20 @@ class SourceInfo:
     def to_json(self) -> dict[str, Any]:
         """A JSON-able description."""
         return {
-            "path": str(self.path), "size": self.size, "mtime_ns": self.state.mtime_ns, "digest": self.digest,
-            "version": self.version, "point_format": self.point_format, "points": self.points,
-            "compressed": self.compressed, "copc": self.copc, "salvaged": self.salvaged,
-            "crs": self.georeference.name or None, "bounds": self.bounds and list(self.bounds),
+            "path": str(self.path),
+            "size": self.size,
+            "mtime_ns": self.state.mtime_ns,
+            "digest": self.digest,
+            "version": self.version,
+            "point_format": self.point_format,
+            "points": self.points,
+            "compressed": self.compressed,
+            "copc": self.copc,
+            "salvaged": self.salvaged,
+            "crs": self.georeference.name or None,
+            "bounds": self.bounds and list(self.bounds),
             "notes": list(self.notes),
-        }  # fmt: skip
+        }
 
 
 def inspect(path: Path, salvage: bool = False) -> SourceInfo:

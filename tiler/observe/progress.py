@@ -153,9 +153,14 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 
     console = Console(file=stream)
     columns = (
-        TextColumn("{task.description:<10}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[rate]}"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-    )  # fmt: skip
+        TextColumn("{task.description:<10}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TextColumn("{task.fields[rate]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
     stages: dict[str, tuple[_Stage, TaskID]] = {}
 
     with Progress(*columns, console=console) as bars:

@@ -113,10 +113,14 @@ def part_of(plan: Plan) -> Plan:
     part = sum(a * share for a, share in zip(whole, shares, strict=True)) * plan.meta.frame.metres_xy**2
     extent = plan.extent.intersection(plan.area.bounds)
     return dataclasses.replace(
-        plan, sources=tuple(near), points=points, area_m2=float(part), extent=extent,
+        plan,
+        sources=tuple(near),
+        points=points,
+        area_m2=float(part),
+        extent=extent,
         names={path: name for path, name in plan.names.items() if path in {s.path for s in near}},
         notes=(*plan.notes, *notes),
-    )  # fmt: skip
+    )
 
 
 def _nearer(plan: Plan) -> str:

@@ -126,9 +126,11 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     density, crowd = sizes.density_of(points, covered, patches, metres, notes), Crowd(patches, metres)
     memory = config.memory or min(1 << 30, psutil.virtual_memory().total // (4 * (psutil.cpu_count() or 1)))
     meta = StoreMeta(
-        frame=frame, bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, crowd, memory)))),
-        fine=Lattice(frame.counts(FINE_CELL_M)), has_rgb=any(s.has_rgb for s in filled),
-    )  # fmt: skip
+        frame=frame,
+        bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, crowd, memory)))),
+        fine=Lattice(frame.counts(FINE_CELL_M)),
+        has_rgb=any(s.has_rgb for s in filled),
+    )
     if defaults and "rgb" in METHODS[config.method].needs and not meta.has_rgb:
         raise ConfigError(
             f"--method {config.method}: needs colours (RGB), no input has any; use another method"
@@ -258,8 +260,15 @@ def _planned_passes(
         )
     return tuple(
         PlannedPass(
-            s.name, halo(s), s.reach_m is not None, s.every_point, s.elected, s.label_margin_m,
-            type(s).applies is not Pass.applies, s.kind, s.raster_cell_m,
+            s.name,
+            halo(s),
+            s.reach_m is not None,
+            s.every_point,
+            s.elected,
+            s.label_margin_m,
+            type(s).applies is not Pass.applies,
+            s.kind,
+            s.raster_cell_m,
         )
         for s in params.passes
-    )  # fmt: skip
+    )

@@ -82,10 +82,11 @@ def _area_facts(plan: Plan) -> dict[str, Any] | None:
     if plan.area is None:
         return None
     return {
-        "file": plan.config.aoi, "polygons": len(plan.area.polygons),
+        "file": plan.config.aoi,
+        "polygons": len(plan.area.polygons),
         "bounds": [v / COUNTS_PER_UNIT for v in plan.area.bounds.to_json()],
         "margin_m": float(plan.margin / COUNTS_PER_UNIT * plan.meta.frame.units.horizontal),
-    }  # fmt: skip
+    }
 
 
 def _halo_in_words(plan: Plan) -> str:

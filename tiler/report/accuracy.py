@@ -16,8 +16,16 @@ from tiler.report.document import Content, Node, el, facts, table
 
 """Names in OUT under which ``--json`` of `tiler check` and `tiler evaluate` are looked for."""
 
-FIGURES = {"points": "points", "rmse_v": "RMSEV", "bias": "mean", "median": "median", "nmad": "NMAD",
-           "p95_abs": "95 % within", "max_abs": "largest", "outliers": "outliers"}  # fmt: skip
+FIGURES = {
+    "points": "points",
+    "rmse_v": "RMSEV",
+    "bias": "mean",
+    "median": "median",
+    "nmad": "NMAD",
+    "p95_abs": "95 % within",
+    "max_abs": "largest",
+    "outliers": "outliers",
+}
 
 HOW = (
     "Nothing was measured yet. With checkpoints: tiler check OUT/dtm.tif --points FILE --json > OUT/check.json; "
@@ -151,13 +159,15 @@ def _classes(found: Mapping[str, Any]) -> Node:
     return el(
         "div",
         el("h3", "Classes against the truth"),
-        facts({
-            "type I, ground lost": _percent(found["type_1"]),
-            "type II, objects taken for ground": _percent(found["type_2"]),
-            "total error": f"{_percent(found['total'])} of {found['points']:,} points",
-            "Cohen's kappa": _percent(found["kappa"]),
-        }),
-    )  # fmt: skip
+        facts(
+            {
+                "type I, ground lost": _percent(found["type_1"]),
+                "type II, objects taken for ground": _percent(found["type_2"]),
+                "total error": f"{_percent(found['total'])} of {found['points']:,} points",
+                "Cohen's kappa": _percent(found["kappa"]),
+            }
+        ),
+    )
 
 
 def _true_dtm(found: Mapping[str, Any]) -> Node:

@@ -116,10 +116,19 @@ def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
     order = sorted(tiles, key=lambda name: (not name.startswith("filter"), name != "grid-dtm"))
     for stage in [*reversed(order[:passes]), *order[passes:]]:
         rows = [
-            [t["key"], *t["bounds"], t["state"], t["points"], t["seconds"], t["tries"], t["marked"],
-             errors.get((stage, t["key"]), "")]
-            for t in tiles[stage] if t["bounds"] is not None
-        ]  # fmt: skip
+            [
+                t["key"],
+                *t["bounds"],
+                t["state"],
+                t["points"],
+                t["seconds"],
+                t["tries"],
+                t["marked"],
+                errors.get((stage, t["key"]), ""),
+            ]
+            for t in tiles[stage]
+            if t["bounds"] is not None
+        ]
         if rows and len(rows) <= room:
             room -= len(rows)
             found.append({"name": stage, "title": stage_title(stage, passes), "tiles": rows})

@@ -49,8 +49,13 @@ Floats = npt.NDArray[np.float32]
 Extent = tuple[float, float, float, float]
 
 TERRAIN: tuple[Colour, ...] = (
-    (44, 110, 96), (126, 172, 108), (228, 216, 146), (198, 146, 94), (150, 96, 72), (246, 242, 238),
-)  # fmt: skip
+    (44, 110, 96),
+    (126, 172, 108),
+    (228, 216, 146),
+    (198, 146, 94),
+    (150, 96, 72),
+    (246, 242, 238),
+)
 VIRIDIS: tuple[Colour, ...] = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 """The colour map of matplotlib (CC0), at every quarter."""
 GREY: tuple[Colour, ...] = ((16, 16, 16), (255, 255, 255))
@@ -262,9 +267,13 @@ def _range(values: Floats) -> tuple[float, float]:
 
 
 def _ramp(
-    title: str, values: Floats, low: float, high: float, stops: tuple[Colour, ...],
+    title: str,
+    values: Floats,
+    low: float,
+    high: float,
+    stops: tuple[Colour, ...],
     text: Callable[[float], str] | None,
-) -> _Indexed:  # fmt: skip
+) -> _Indexed:
     indexed = np.zeros(values.shape, np.uint8)
     for strip in _strips(len(values)):
         share = np.clip((values[strip].astype(np.float64) - low) / max(high - low, 1e-9), 0.0, 1.0)

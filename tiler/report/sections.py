@@ -146,14 +146,18 @@ def decisions(run: Run) -> Node:
     memory, declared = plan["memory_bytes"], "what the files declare"
     units = " and ".join(dict.fromkeys(plan.get("units", {}).values()))
     settled = {
-        "resolution": (config["resolution"], f"{plan['resolution_m']:g} m", "1 m, or the points' spacing if wider"),
+        "resolution": (
+            config["resolution"],
+            f"{plan['resolution_m']:g} m",
+            "1 m, or the points' spacing if wider",
+        ),
         "tile_size": (config["tile_size"], f"{plan['tile_m']:g} m", "what fits into a worker's memory"),
         "halo": (config["halo"], f"{_halo_m(run):g} m", "the method's own reach"),
         "workers": (config["workers"], str(plan["workers"]), "the cores of the machine"),
         "memory": (config["memory"], size_text(memory), "a fair share of the machine, 1 GiB at most"),
         "units": (config["units"], units, declared),
         "crs": (config["crs"], _crs_name(plan["crs"]), declared),
-    }  # fmt: skip
+    }
     rows = [
         (
             name.replace("_", " "),

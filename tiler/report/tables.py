@@ -21,10 +21,12 @@ def counts(run: Run) -> Node:
     pairs: dict[str, Content] = {"read": _count(found.get("read")), "stored": _count(found.get("stored"))}
     pairs |= {f"dropped: {reason}": _count(n) for reason, n in found.get("dropped", {}).items()}
     names = {
-        "duplicates_within_files": "duplicates within files", "duplicates_between_files": "duplicates between files",
-        "kept_out": "kept out of the filter", "participating": "taking part in the filter",
+        "duplicates_within_files": "duplicates within files",
+        "duplicates_between_files": "duplicates between files",
+        "kept_out": "kept out of the filter",
+        "participating": "taking part in the filter",
         "strays": "far from all others",
-    }  # fmt: skip
+    }
     pairs |= {text: _count(found.get(name)) for name, text in names.items()}
     labels = run.get("filter", {})
     for name in ("ground", "unclassified", "low_noise", "kept", "marked"):
@@ -50,11 +52,16 @@ def inputs(run: Run) -> Node:
     warned = run["plan"].get("notes", ())
     rows = [
         (
-            f["path"], f"{f['points']:,}", f"{f['stored']:,}", f"LAS {f['version']}, format {f['point_format']}",
-            size_text(f["size"]), f["crs"] or "-", "; ".join([*f["notes"], *(["salvaged"] if f["salvaged"] else [])]),
+            f["path"],
+            f"{f['points']:,}",
+            f"{f['stored']:,}",
+            f"LAS {f['version']}, format {f['point_format']}",
+            size_text(f["size"]),
+            f["crs"] or "-",
+            "; ".join([*f["notes"], *(["salvaged"] if f["salvaged"] else [])]),
         )
         for f in files[:MOST_ROWS]
-    ]  # fmt: skip
+    ]
     columns = ("file", "points", "stored", "format", "size", "CRS", "warnings")
     more = f"{len(files) - MOST_ROWS:,} more are in run.json." if len(files) > MOST_ROWS else None
     about = counted(len(files), "file") + (
@@ -88,20 +95,26 @@ def timings(run: Run) -> Node:
     longest = max((s["seconds"] for s in stages.values()), default=0) or 1
     rows = [
         (
-            stage_title(name, passes), f"{s['tasks']:,}", f"{s['computed']:,}", duration_text(s["seconds"]),
-            _bar(s["seconds"] / longest), rate_text(s["points"], s["seconds"]) or "-",
+            stage_title(name, passes),
+            f"{s['tasks']:,}",
+            f"{s['computed']:,}",
+            duration_text(s["seconds"]),
+            _bar(s["seconds"] / longest),
+            rate_text(s["points"], s["seconds"]) or "-",
             size_text(s["peak_rss_bytes"]) if s["peak_rss_bytes"] else "-",
         )
         for name, s in sorted(stages.items(), key=lambda item: _order(item[0]))
-    ]  # fmt: skip
+    ]
     columns = ("stage", "tasks", "done now", "time", "", "rate", "peak memory")
     plan = run["plan"]
     projected = max(plan["projected_memory_bytes"].values(), default=0)
-    memory = facts({
-        "peak of a process": size_text(run["peak_rss_bytes"]),
-        "projected for a worker": size_text(projected),
-        "allowed for a worker": size_text(plan["memory_bytes"]),
-    })  # fmt: skip
+    memory = facts(
+        {
+            "peak of a process": size_text(run["peak_rss_bytes"]),
+            "projected for a worker": size_text(projected),
+            "allowed for a worker": size_text(plan["memory_bytes"]),
+        }
+    )
     before, tasks = done_before(run), sum(s["tasks"] for s in stages.values())
     earlier = (
         f"{before:,} of {tasks:,} tasks were done by earlier runs; the stages' times are of the last one."
@@ -140,10 +153,17 @@ def _slowest(run: Run, passes: int) -> list[Content]:
     if not timed:
         return []
     rows = [
-        (stage_title(stage, passes), t["key"], f"{t['points']:,}", duration_text(seconds), f"{t['tries']}",
-         f"{t['marked']:,}", size_text(t["peak_rss_bytes"]))
+        (
+            stage_title(stage, passes),
+            t["key"],
+            f"{t['points']:,}",
+            duration_text(seconds),
+            f"{t['tries']}",
+            f"{t['marked']:,}",
+            size_text(t["peak_rss_bytes"]),
+        )
         for seconds, stage, t in timed[:SLOWEST]
-    ]  # fmt: skip
+    ]
     columns = ("stage", "tile", "points", "time", "tries", "not certified", "memory of its worker")
     return [el("h3", "The slowest tiles"), table(columns, rows, (2, 3, 4, 5, 6))]
 

@@ -84,9 +84,14 @@ def _finished(job: Job, outcome: Outcome) -> None:
     if outcome.record is not None:
         job.listener(
             "task_done",
-            {"stage": task.stage, "key": task.key, "points": task.points, "seconds": round(outcome.seconds, 3),
-             "peak_rss_bytes": outcome.peak_rss_bytes},
-        )  # fmt: skip
+            {
+                "stage": task.stage,
+                "key": task.key,
+                "points": task.points,
+                "seconds": round(outcome.seconds, 3),
+                "peak_rss_bytes": outcome.peak_rss_bytes,
+            },
+        )
         return
     failure: dict[str, Any] = {
         "stage": task.stage,

@@ -144,8 +144,11 @@ def _child(memory_bytes: int | None) -> subprocess.Popen[bytes]:
     limit = [] if memory_bytes is None else [str(memory_bytes)]
     return subprocess.Popen(
         [sys.executable, "-P", "-m", "tiler.schedule.guarded", *limit],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
-    )  # fmt: skip
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=environment,
+    )
 
 
 def _pipe(stream: IO[bytes] | None) -> IO[bytes]:

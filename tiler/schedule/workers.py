@@ -161,9 +161,14 @@ class DaskExecutor:
         def submit(task: Task, number: int) -> None:
             self._submissions += 1  # Dask would answer for a name that it knows
             future = self._client.submit(
-                perform_in_child, self._run, perform, store_url, task, pure=False,
+                perform_in_child,
+                self._run,
+                perform,
+                store_url,
+                task,
+                pure=False,
                 key=f"{task.stage}/{task.key}/{self._submissions}",
-            )  # fmt: skip
+            )
             running[future.key] = _Try(task, number)
             done.add(future)
 

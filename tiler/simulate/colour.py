@@ -77,9 +77,15 @@ def shadows(skin: Skin) -> npt.NDArray[np.bool_]:
 
 
 def colours(
-    site: Site, x: Floats, y: Floats, label: npt.NDArray[np.uint8], thing: npt.NDArray[np.int64],
-    facade: npt.NDArray[np.bool_], dark: npt.NDArray[np.bool_], rng: np.random.Generator,
-) -> npt.NDArray[np.uint16]:  # fmt: skip
+    site: Site,
+    x: Floats,
+    y: Floats,
+    label: npt.NDArray[np.uint8],
+    thing: npt.NDArray[np.int64],
+    facade: npt.NDArray[np.bool_],
+    dark: npt.NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> npt.NDArray[np.uint16]:
     """Colour of each point: uint16, shape (n, 3), 8-bit values times 256.
 
     Parameters
@@ -94,8 +100,14 @@ def colours(
     rng : numpy.random.Generator
     """
     material = ground_materials(site, x, y)
-    for value, name in ((WATER, WATERS), (LOW_VEGETATION, PLANTS), (MEDIUM_VEGETATION, LEAVES),
-                        (HIGH_VEGETATION, LEAVES), (BRIDGE, CONCRETE), (BUILDING, CONCRETE)):  # fmt: skip
+    for value, name in (
+        (WATER, WATERS),
+        (LOW_VEGETATION, PLANTS),
+        (MEDIUM_VEGETATION, LEAVES),
+        (HIGH_VEGETATION, LEAVES),
+        (BRIDGE, CONCRETE),
+        (BUILDING, CONCRETE),
+    ):
         material = np.where(label == value, name, material)
     rgb = MATERIALS[np.where(facade, FACADE, material)]
     kind = node_normals(site.seed, COLOUR, thing, thing)

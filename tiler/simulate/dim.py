@@ -145,9 +145,14 @@ class DimSensor:
         ), label
 
     def _noise(
-        self, site: Site, x: Floats, y: Floats, label: UInt8s, shaded: npt.NDArray[np.bool_],
+        self,
+        site: Site,
+        x: Floats,
+        y: Floats,
+        label: UInt8s,
+        shaded: npt.NDArray[np.bool_],
         rng: np.random.Generator,
-    ) -> Floats:  # fmt: skip
+    ) -> Floats:
         """Errors of heights: a part that neighbours have in common and a part that is each point's own, metres."""
         hard = np.isin(label, (GROUND, WATER, BUILDING))
         sigma = self.sigma_m * np.where(hard, 1.0, 2.0) * np.where(shaded, self.shadow, 1.0)

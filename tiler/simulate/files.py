@@ -143,10 +143,18 @@ def write_scene(
                 scratch.unlink(missing_ok=True)
     points = int(counts.sum())
     return {
-        "cloud": str(path), "dtm": str(dtm), "scene": spec.name, "kind": spec.kind, "seed": spec.seed,
-        "side_m": spec.side_m, "points": points, "points_per_m2": round(points / spec.side_m**2, 3),
-        "classes": {f"{value} {CLASS_NAMES[value]}": int(counts[value]) for value in np.flatnonzero(counts).tolist()},
-    }  # fmt: skip
+        "cloud": str(path),
+        "dtm": str(dtm),
+        "scene": spec.name,
+        "kind": spec.kind,
+        "seed": spec.seed,
+        "side_m": spec.side_m,
+        "points": points,
+        "points_per_m2": round(points / spec.side_m**2, 3),
+        "classes": {
+            f"{value} {CLASS_NAMES[value]}": int(counts[value]) for value in np.flatnonzero(counts).tolist()
+        },
+    }
 
 
 def _write_cloud(path: Path, compressed: bool, spec: SceneSpec, listener: Listener) -> np.ndarray:

@@ -122,9 +122,14 @@ class Solid:
         au, av, lu, lv = ax * cos + ay * sin, ay * cos - ax * sin, lx * cos + ly * sin, ly * cos - lx * sin
         # A convex body is an intersection of half-spaces; each bounds z inside the body from above or below.
         high, low = np.full(len(index), np.inf), np.full(len(index), -np.inf)
-        half_spaces = [(-self.tilt, 0.0, 1.0, self.top), (self.tilt, 0.0, -1.0, -self.base),
-                       (1.0, 0.0, 0.0, self.length / 2), (-1.0, 0.0, 0.0, self.length / 2),
-                       (0.0, 1.0, 0.0, self.width / 2), (0.0, -1.0, 0.0, self.width / 2)]  # fmt: skip
+        half_spaces = [
+            (-self.tilt, 0.0, 1.0, self.top),
+            (self.tilt, 0.0, -1.0, -self.base),
+            (1.0, 0.0, 0.0, self.length / 2),
+            (-1.0, 0.0, 0.0, self.length / 2),
+            (0.0, 1.0, 0.0, self.width / 2),
+            (0.0, -1.0, 0.0, self.width / 2),
+        ]
         if self.pitch:
             half_spaces += [(0.0, self.pitch, 1.0, self.top), (0.0, -self.pitch, 1.0, self.top)]
         for nu, nv, nz, distance in half_spaces:

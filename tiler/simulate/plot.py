@@ -29,9 +29,15 @@ class Plot:
     """
 
     def __init__(
-        self, rng: np.random.Generator, terrain: Terrain, x: float, y: float, side: float,
-        landmarks: Objects, street: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        rng: np.random.Generator,
+        terrain: Terrain,
+        x: float,
+        y: float,
+        side: float,
+        landmarks: Objects,
+        street: float = 0.0,
+    ) -> None:
         self.rng, self.terrain, self.x, self.y, self.side = rng, terrain, x, y, side
         self.street = street
         self._far = landmarks
@@ -66,9 +72,16 @@ class Plot:
         return all(solid.distance(x, y) > radius for solid in (*self._far.solids, *self._solids))
 
     def box(
-        self, x: float, y: float, angle: float, length: float, width: float, height: float,
-        pitch: float = 0.0, label: int = BUILDING,
-    ) -> None:  # fmt: skip
+        self,
+        x: float,
+        y: float,
+        angle: float,
+        length: float,
+        width: float,
+        height: float,
+        pitch: float = 0.0,
+        label: int = BUILDING,
+    ) -> None:
         """A solid whose eaves are ``height`` above the highest ground that it touches."""
         low, high = self.terrain.range_around(x, y, 0.35 * float(np.hypot(length, width)))
         top = high + height + pitch * width / 2

@@ -27,11 +27,19 @@ Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 in metres, half-open."""
 
 CLASS_NAMES = {
-    UNCLASSIFIED: "cars, garden walls", GROUND: "ground", LOW_VEGETATION: "plants below 1 m",
-    MEDIUM_VEGETATION: "plants below 3 m", HIGH_VEGETATION: "higher plants", BUILDING: "buildings, facades",
-    LOW_NOISE: "blunders below the ground", WATER: "water", WIRE: "wires", TOWER: "towers of wires",
-    BRIDGE: "bridges", HIGH_NOISE: "blunders in the air",
-}  # fmt: skip
+    UNCLASSIFIED: "cars, garden walls",
+    GROUND: "ground",
+    LOW_VEGETATION: "plants below 1 m",
+    MEDIUM_VEGETATION: "plants below 3 m",
+    HIGH_VEGETATION: "higher plants",
+    BUILDING: "buildings, facades",
+    LOW_NOISE: "blunders below the ground",
+    WATER: "water",
+    WIRE: "wires",
+    TOWER: "towers of wires",
+    BRIDGE: "bridges",
+    HIGH_NOISE: "blunders in the air",
+}
 """What has which ASPRS class."""
 
 

@@ -106,8 +106,10 @@ def correct(
         lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(SHORTEST_M), assembled.bounds)
         job.store.put_breaklines(lines)
         job.facts["breaklines"] = {
-            "lines": len(plan.lines), "vertices": len(lines.vertices), "drawn": _drawn(plan.lines),
-        }  # fmt: skip
+            "lines": len(plan.lines),
+            "vertices": len(lines.vertices),
+            "drawn": _drawn(plan.lines),
+        }
         found = replace(found, lines=lines, line_digests=lines.digests(plan.meta.bucket))
     return corrected, found
 

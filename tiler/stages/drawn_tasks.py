@@ -29,9 +29,12 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
     plan, config = g.plan, g.plan.config
     terrain, interval = final("dtm", config), config.contour_interval
     common: dict[str, Any] = {
-        "raster": terrain, "spec": g.spec, "out": out, "area": area_key(plan),
+        "raster": terrain,
+        "spec": g.spec,
+        "out": out,
+        "area": area_key(plan),
         "interval": None if interval is None else interval / plan.meta.frame.units.vertical,
-    }  # fmt: skip
+    }
     smooth = config.contour_smooth
     sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.resolution
     reach = min(math.ceil(SPOT_REACH_M / plan.resolution), WIDEST_REACH)

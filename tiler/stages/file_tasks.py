@@ -67,10 +67,17 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
     for name in g.plan.config.exported:
         raster = final(name, g.plan.config)
         whole = WriteCog(
-            product=name, out=out, tags=_tags(g.plan, whole_inputs), nodata=_nodata(g.plan, name), name=name,
-            raster=raster, spec=g.spec, compress=g.plan.config.compress, fill=rasters[raster].fill,
+            product=name,
+            out=out,
+            tags=_tags(g.plan, whole_inputs),
+            nodata=_nodata(g.plan, name),
+            name=name,
+            raster=raster,
+            spec=g.spec,
+            compress=g.plan.config.compress,
+            fill=rasters[raster].fill,
             area=area_key(g.plan),
-        )  # fmt: skip
+        )
         if g.plan.config.sheets is None:
             yield _cog_task(whole, checksums(g.made[raster]))
             continue
@@ -79,9 +86,13 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
             near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS)
             seen = [[b.name, g.made[raster][b.name][1]["checksum"]] for b in near if b.name in g.made[raster]]
             work = replace(
-                whole, name=f"{name}_{sheet.place}", out=joined(out, name), spec=spec, whole=g.spec,
+                whole,
+                name=f"{name}_{sheet.place}",
+                out=joined(out, name),
+                spec=spec,
+                whole=g.spec,
                 tags=_tags(g.plan, read),
-            )  # fmt: skip
+            )
             yield _cog_task(work, seen)
 
 
@@ -97,9 +108,12 @@ def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
     cut = [(sheet.place, sheet.spec) for sheet in sheets(g)]
     for name in g.plan.config.exported:
         work = WriteMosaic(
-            product=name, out=out, tags=_tags(g.plan, whole_inputs), nodata=_nodata(g.plan, name),
+            product=name,
+            out=out,
+            tags=_tags(g.plan, whole_inputs),
+            nodata=_nodata(g.plan, name),
             sheets=tuple((f"{name}/{name}_{place}.tif", spec) for place, spec in cut),
-        )  # fmt: skip
+        )
         yield Task("mosaic", f"{name}.vrt", digest_of(work), write_mosaic, work)
 
 
@@ -139,11 +153,17 @@ def _nodata(plan: Plan, name: str) -> float | None:
 def _tags(plan: Plan, inputs: str) -> dict[str, str]:
     config = plan.config
     settings: dict[str, Any] = {
-        "interpolation": config.interpolation, "surface": config.surface or "all", "erode_m": float(config.erosion),
-        "max_edge_m": float(config.max_edge), "voids": config.voids, "spike_m": float(config.spike),
-    }  # fmt: skip
+        "interpolation": config.interpolation,
+        "surface": config.surface or "all",
+        "erode_m": float(config.erosion),
+        "max_edge_m": float(config.max_edge),
+        "voids": config.voids,
+        "spike_m": float(config.spike),
+    }
     return {
-        "TILER_VERSION": __version__, "TILER_METHOD": config.method,
+        "TILER_VERSION": __version__,
+        "TILER_METHOD": config.method,
         "TILER_PARAMETERS": json.dumps(plan.parameters, sort_keys=True),
-        "TILER_GRID": json.dumps(settings, sort_keys=True), "TILER_INPUTS": inputs,
-    }  # fmt: skip
+        "TILER_GRID": json.dumps(settings, sort_keys=True),
+        "TILER_INPUTS": inputs,
+    }

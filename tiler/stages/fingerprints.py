@@ -103,8 +103,16 @@ def contents(
         if outcome.again:
             continue
         task = outcome.task
-        job.listener("task_done", {"stage": stage, "key": task.key, "points": task.points,
-                                   "seconds": round(outcome.seconds, 3), "peak_rss_bytes": 0})  # fmt: skip
+        job.listener(
+            "task_done",
+            {
+                "stage": stage,
+                "key": task.key,
+                "points": task.points,
+                "seconds": round(outcome.seconds, 3),
+                "peak_rss_bytes": 0,
+            },
+        )
         found: dict[str, dict[str, str]] = outcome.record or {}
         for place, _ in task.arguments.files:
             error = f"{place}: what reads it {outcome.error}; get the file again"

@@ -179,11 +179,14 @@ def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mappin
         )
     records = [record for _, record in made.values()]
     job.facts["dtm"] = {
-        "width": spec.width, "height": spec.height, "resolution_m": float(job.plan.resolution),
+        "width": spec.width,
+        "height": spec.height,
+        "resolution_m": float(job.plan.resolution),
         **{k: sum(r[k] for r in records) for k in ("filled", "marked")},
-        "blocks": len(tasks), "blocks_done_again": sum(r["tries"] > 1 for r in records),
+        "blocks": len(tasks),
+        "blocks_done_again": sum(r["tries"] > 1 for r in records),
         "thinned": any(task.arguments.thin for task in tasks),
-    }  # fmt: skip
+    }
     if records and job.facts["dtm"]["filled"] == 0:
         config = job.plan.config
         what = (

@@ -147,9 +147,12 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
     between = sum(r["duplicates"]["between"] for r in assembled.records.values())
     taking = sum(r["n_participating"] for r in assembled.records.values())
     job.facts["counts"] |= {
-        "duplicates_within_files": within, "duplicates_between_files": between, "participating": taking,
-        "kept_out": job.facts["counts"]["stored"] - taking, "buckets": len(assembled.records),
-    }  # fmt: skip
+        "duplicates_within_files": within,
+        "duplicates_between_files": between,
+        "participating": taking,
+        "kept_out": job.facts["counts"]["stored"] - taking,
+        "buckets": len(assembled.records),
+    }
     _tell_of_strays(job, sources, assembled)
     if within or between:
         job.note(f"duplicates take part once: {between:,} points of other files, {within:,} within files")

@@ -73,9 +73,17 @@ def surface_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
 
     def work(block: Block) -> SurfaceBlock:
         return SurfaceBlock(
-            name=raster.name, spec=spec, block=block, rule=rule, data=data, max_edge=limit, halo=halo,
-            spike=spike, reach=reach, terrain=terrain,
-        )  # fmt: skip
+            name=raster.name,
+            spec=spec,
+            block=block,
+            rule=rule,
+            data=data,
+            max_edge=limit,
+            halo=halo,
+            spike=spike,
+            reach=reach,
+            terrain=terrain,
+        )
 
     return _block_tasks(
         raster, g, work, full_halo(limit) + math.ceil((reach + 1) * frame.counts(plan.resolution))
@@ -171,9 +179,17 @@ def mask_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     made = (spec.block_named(key, BLOCK_PIXELS) for name in (dtm, heights) for key in g.made[name])
     for block in sorted({*near, *holes, *inside, *made}, key=north_west):
         work = MaskBlock(
-            name=raster.name, spec=spec, block=block, rule=rule, dtm=dtm, filled=heights, survey=survey,
-            coarse=coarse, holes=tuple(holes.get(block, ())), area=area,
-        )  # fmt: skip
+            name=raster.name,
+            spec=spec,
+            block=block,
+            rule=rule,
+            dtm=dtm,
+            filled=heights,
+            survey=survey,
+            coarse=coarse,
+            holes=tuple(holes.get(block, ())),
+            area=area,
+        )
         rasters = [
             g.made[name][block.name][1]["checksum"] for name in (dtm, heights) if block.name in g.made[name]
         ]

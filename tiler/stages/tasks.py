@@ -89,9 +89,17 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
             key = f"{source.name}-{start:012d}"
             identity = digest_of(source.identity, source.number, start, count, claimed, plan.meta.to_json())
             work = SpoolPiece(
-                location(source.info.path), source.number, key, start, count, wanted,
-                salvage=plan.config.salvage, extent=claimed, identity=identity, stamp=source.info.stamp,
-            )  # fmt: skip
+                location(source.info.path),
+                source.number,
+                key,
+                start,
+                count,
+                wanted,
+                salvage=plan.config.salvage,
+                extent=claimed,
+                identity=identity,
+                stamp=source.info.stamp,
+            )
             yield Task("spool", key, digest_of(identity, wanted), spool_piece, work, count)
 
 
@@ -272,8 +280,15 @@ def filter_tasks(
         records = {cell: {**record, "n_elected": before.n_elected[cell]} for cell, record in records.items()}
     for tile in tiles_of(plan, records, plan.passes[number]):
         work = FilterTile(
-            plan.config.method, plan.parameters, number, dict(state), tile.cells, tile.halo, tile.max_halo,
-            plan.config.keep_classes, skip_flags(plan),
+            plan.config.method,
+            plan.parameters,
+            number,
+            dict(state),
+            tile.cells,
+            tile.halo,
+            tile.max_halo,
+            plan.config.keep_classes,
+            skip_flags(plan),
             labels_in=before.labels if reads else None,
             labels_out=LABELS if last else labels_name(number),
             elected_in=before.elected if step.elected else None,
@@ -281,7 +296,7 @@ def filter_tasks(
             elected_out=elected_name(number) if step.elects else None,
             of_elected=step.elected and not last,
             held_bytes=held_bytes(plan.memory),
-        )  # fmt: skip
+        )
         sight = plan.meta.bucket.hull(tile.cells).pad(max(tile.max_halo + beyond, margin))
         digests = before.digests if reads else assembled.digests
         near = plan.meta.bucket.among(sight, digests)
@@ -320,9 +335,12 @@ def ground_rule(plan: Plan) -> GroundRule:
     """Which points are ground."""
     keep = plan.config.method == KEEP
     return GroundRule(
-        None if keep else LABELS, plan.config.ground_classes if keep else (GROUND,), skip_flags(plan),
-        plan.meta.frame.counts(plan.config.erosion), math.ceil(ERODE_RISE_M / plan.meta.frame.metres_z),
-    )  # fmt: skip
+        None if keep else LABELS,
+        plan.config.ground_classes if keep else (GROUND,),
+        skip_flags(plan),
+        plan.meta.frame.counts(plan.config.erosion),
+        math.ceil(ERODE_RISE_M / plan.meta.frame.metres_z),
+    )
 
 
 def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], name: str) -> Iterator[Task]:
@@ -334,10 +352,19 @@ def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], nam
     reach = full_halo(max_edge) + math.ceil(frame.counts(plan.config.erosion))
     for block, near in spec.blocks_near(plan.meta.bucket, labels, BLOCK_PIXELS, reach).items():
         work = GridBlock(
-            name=name, spec=spec, block=block, rule=rule, data=data, max_edge=max_edge,
-            halo=halo, max_halo=full_halo(max_edge), interpolation=plan.config.interpolation,
-            percent=plan.config.surface_percent, thin=thin, max_points=plan.block_points,
-        )  # fmt: skip
+            name=name,
+            spec=spec,
+            block=block,
+            rule=rule,
+            data=data,
+            max_edge=max_edge,
+            halo=halo,
+            max_halo=full_halo(max_edge),
+            interpolation=plan.config.interpolation,
+            percent=plan.config.surface_percent,
+            thin=thin,
+            max_points=plan.block_points,
+        )
         digest = digest_of(__version__, work, [[cell.ix, cell.iy, labels[cell]] for cell in near])
         points = sum(assembled.records[cell]["n"] for cell in near)
         yield Task(f"grid-{name}", block.name, digest, grid_block, work, points)
@@ -358,9 +385,14 @@ def classified_tasks(
         extent = claimed_bounds(source.info)
         whole = plan.area is None or (extent is not None and plan.area.covers(extent))
         work = WriteClassified(
-            path=location(source.info.path), source=source.number,
-            out=joined(out, CLASSIFIED, str(plan.names[source.info.path])), labels=LABELS, cells=tuple(cells),
-            salvage=plan.config.salvage, area=None if whole else area_key(plan), stamp=source.info.stamp,
-        )  # fmt: skip
+            path=location(source.info.path),
+            source=source.number,
+            out=joined(out, CLASSIFIED, str(plan.names[source.info.path])),
+            labels=LABELS,
+            cells=tuple(cells),
+            salvage=plan.config.salvage,
+            area=None if whole else area_key(plan),
+            stamp=source.info.stamp,
+        )
         digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells])
         yield Task("export", f"c{source.number:06d}", digest, write_classified, work, source.info.points)

@@ -33,9 +33,16 @@ class CellCodes(Model):
     """
 
     def __init__(
-        self, x: Int32, y: Int32, codes: UInt8, doubtful: Bool, cells: Cells, certain: Window, missing: int,
+        self,
+        x: Int32,
+        y: Int32,
+        codes: UInt8,
+        doubtful: Bool,
+        cells: Cells,
+        certain: Window,
+        missing: int,
         stats: dict[str, Any],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.stats = stats
         self._certain = certain
         self._codes, self._doubtful = np.append(codes, np.uint8(missing)), np.append(doubtful, False)

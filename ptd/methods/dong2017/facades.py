@@ -180,9 +180,16 @@ def _variation(
 
 @kernel
 def _flat(
-    x: Int32, y: Int32, z: Int32, table: CellTable, seeds: Int32, columns: Int64, rows: Int64,
-    largest: float, z_ratio: float,
-) -> Bool:  # fmt: skip
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    table: CellTable,
+    seeds: Int32,
+    columns: Int64,
+    rows: Int64,
+    largest: float,
+    z_ratio: float,
+) -> Bool:
     out = np.zeros(seeds.size, np.bool_)
     for k in range(seeds.size):
         out[k] = _variation(x, y, z, table, columns[k], rows[k], seeds[k], z_ratio) < largest

@@ -76,9 +76,11 @@ class Dong2017(Dong2017Parameters):
         """Survey, seeds and their TIN; then a measurement and a densification for each density."""
         first, measured_m = self.first_stage, MEASURED_SEEDS * self.seed_cell_m
         steps: list[Pass] = [
-            Survey(self, max(roughness.REACH_M, self.facade_cell_m)), SeedPass(self, self.seed_reach_m),
-            FirstMeasurement(self, measured_m, 2 * measured_m + SLACK_M), FirstGround(first, first.reach_m + SLACK_M),
-        ]  # fmt: skip
+            Survey(self, max(roughness.REACH_M, self.facade_cell_m)),
+            SeedPass(self, self.seed_reach_m),
+            FirstMeasurement(self, measured_m, 2 * measured_m + SLACK_M),
+            FirstGround(first, first.reach_m + SLACK_M),
+        ]
         for spacing in self.spacings_m:
             stage, last = Stage.of_ground(spacing, self.tins), spacing == self.spacings_m[-1]
             reach = (2 * MEASURED_CELLS + 1) * spacing + SLACK_M

@@ -71,4 +71,4 @@ def on_podium(
     noise = NOISE_QUANTILE * math.sqrt(2.0) * scale.counts(sigma_m)
     return _overhung(
         x, y, z, index.table, *index.places(x, y), scale.counts(radius_m), slope, noise, scale.z_ratio
-    )  # fmt: skip
+    )

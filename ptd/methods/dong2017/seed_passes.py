@@ -45,8 +45,10 @@ class Survey(Pass):
         x, y, _ = points.columns()
         cells = Cells.of(self.params.facade_cell_m, scale)
         found: dict[str, Any] = {
-            "gli": counts.tolist(), "points": int(own.sum()), "cells": _points_by_count(x, y, cells, own),
-        }  # fmt: skip
+            "gli": counts.tolist(),
+            "points": int(own.sum()),
+            "cells": _points_by_count(x, y, cells, own),
+        }
         if state["run"]["sigma_m"] is None:
             found["patches"] = roughness.measure(points.xyz, window, core, scale)
         return Measured(found, {"points": int(own.sum())})
@@ -65,13 +67,17 @@ class Survey(Pass):
         sigma, origin = _sigma(state["run"]["sigma_m"], patches)
         share = gli[green:].sum() / gli.sum() if green is not None else 0.0
         vegetation = (
-            "vegetation by colour: none, the histogram of greenness (GLI) has no two modes" if green is None else
-            f"vegetation by colour: GLI above {index_of_bin(green):.3f} (Otsu), {share:.1%} of the points"
-        )  # fmt: skip
+            "vegetation by colour: none, the histogram of greenness (GLI) has no two modes"
+            if green is None
+            else f"vegetation by colour: GLI above {index_of_bin(green):.3f} (Otsu), {share:.1%} of the points"
+        )
         return {
-            **state, "green_from": green, "density_m2": density, "sigma_m": sigma,
+            **state,
+            "green_from": green,
+            "density_m2": density,
+            "sigma_m": sigma,
             "notes": noted(state, vegetation, f"noise {sigma:g} m ({origin}), {density:.1f} points/m2"),
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)
@@ -157,10 +163,13 @@ def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float
     """Steps 3 and 4: indices of the points of `facades` that are seeds."""
     cell = p.facade_cell_m
     rule = FacadeRule(
-        max(1, round(p.seed_distance_m / cell)), max(1, round(p.seed_distance_m / (math.sqrt(2) * cell))),
+        max(1, round(p.seed_distance_m / cell)),
+        max(1, round(p.seed_distance_m / (math.sqrt(2) * cell))),
         # A facade is counted from the height on that fills its cell so far.
-        scale.counts_z(p.glass_factor * p.facade_height_m), scale.counts(p.seed_variation * sigma_m), scale.z_ratio,
-    )  # fmt: skip
+        scale.counts_z(p.glass_factor * p.facade_height_m),
+        scale.counts(p.seed_variation * sigma_m),
+        scale.z_ratio,
+    )
     x, y, z = facades.x, facades.y, facades.z
     found = facades.seeds(rule)
     found = found[

@@ -104,5 +104,8 @@ class Dong2018(Dong2018Parameters):
         return 0.0
 
 
-METHOD = Method("dong2018", "two stages, the second with thresholds from the noise (Dong 2018), for image matching",
-                Dong2018)  # fmt: skip
+METHOD = Method(
+    "dong2018",
+    "two stages, the second with thresholds from the noise (Dong 2018), for image matching",
+    Dong2018,
+)

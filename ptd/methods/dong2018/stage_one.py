@@ -49,9 +49,14 @@ class NoisePass(Pass):
         given = state["run"]["sigma_m"]
         sigma = given if given is not None else found.sigma_m
         figures = {
-            "density_m2": found.density_m2, "cells": sum(p["cells"] for p in parts), "sigma_m": sigma,
-            "patches": found.patches, "threshold_m2": None, "thin_cell_m": None, "dense": False,
-        }  # fmt: skip
+            "density_m2": found.density_m2,
+            "cells": sum(p["cells"] for p in parts),
+            "sigma_m": sigma,
+            "patches": found.patches,
+            "threshold_m2": None,
+            "thin_cell_m": None,
+            "dense": False,
+        }
         density = f"{found.density_m2:.3g} points/m2"
         least = self.params.threshold_m2(sigma or roughness.LARGEST_SIGMA_M)
         if found.density_m2 < SPARSE_M2 or (sigma is None and found.density_m2 <= least):
@@ -131,9 +136,16 @@ class StageOneModel(Model):
         cells = Cells.of(cell, scale)
         known = window.inside(Cells.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)
         tin, in_doubt, rounds = densify_seeds(
-            x, y, z, np.zeros(x.size, np.bool_), Cells.of(params.max_building_size_m, scale), limits, params.rounds,
-            known, scale,
-        )  # fmt: skip
+            x,
+            y,
+            z,
+            np.zeros(x.size, np.bool_),
+            Cells.of(params.max_building_size_m, scale),
+            limits,
+            params.rounds,
+            known,
+            scale,
+        )
         none = np.zeros(0, np.int32)
         self._terrain = Terrain(
             tin, in_doubt, LowNoise(none, none, none, cells), limits, 0.0, vertices_only=True

@@ -87,9 +87,11 @@ class MeasurePass(Pass):
             lines.append(f"no ground is left out of the TIN at the scale of {scale_m:g} m: stage two ends")
             return with_notes(state, {"stopped": "no ground left out of the TIN"}, *lines)
         found = {
-            "scale_m": scale_m, "distance_m": round(reach[0] * DISTANCE_BIN_M, 6),
-            "angle_deg": round(reach[1] * ANGLE_BIN_DEG, 6), "left_out": int(counts.sum()),
-        }  # fmt: skip
+            "scale_m": scale_m,
+            "distance_m": round(reach[0] * DISTANCE_BIN_M, 6),
+            "angle_deg": round(reach[1] * ANGLE_BIN_DEG, 6),
+            "left_out": int(counts.sum()),
+        }
         lines.append(f"scale {scale_m:g} m: {found['distance_m']:.3f} m, {found['angle_deg']:.1f} degrees")
         if before and found["angle_deg"] <= before[-1]["angle_deg"]:
             lines.append(f"warning: the angle does not grow at the scale of {scale_m:g} m; the paper's does")

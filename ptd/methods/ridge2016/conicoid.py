@@ -35,9 +35,16 @@ decides on all but this share of its fit has no residual: the seed stays."""
 
 @kernel
 def _gather(
-    vertices: Int32Array, triangles: Int32Array, v: int, centre: int, data: Bool, seen: Int32Array, found: Int32Array,
-    n: int, in_doubt: UInt8,
-) -> tuple[int, bool]:  # fmt: skip
+    vertices: Int32Array,
+    triangles: Int32Array,
+    v: int,
+    centre: int,
+    data: Bool,
+    seen: Int32Array,
+    found: Int32Array,
+    n: int,
+    in_doubt: UInt8,
+) -> tuple[int, bool]:
     """Append the data vertices around v that were not yet seen from the centre; whether a triangle is in doubt.
 
     Returns

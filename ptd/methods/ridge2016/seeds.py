@@ -67,9 +67,12 @@ class Prepared:
         seeds = np.union1d(found.chosen, ridge)
         self.seeds = self._refined(params, seeds, scale)
         self.counts = {
-            "points": int(columns[0].size), "low_outliers": int(outlier.sum()), "seeds": int(found.chosen.size),
-            "ridge_points": int(seeds.size - found.chosen.size), "dropped_seeds": int(seeds.size - self.seeds.size),
-        }  # fmt: skip
+            "points": int(columns[0].size),
+            "low_outliers": int(outlier.sum()),
+            "seeds": int(found.chosen.size),
+            "ridge_points": int(seeds.size - found.chosen.size),
+            "dropped_seeds": int(seeds.size - self.seeds.size),
+        }
 
     def rounds(self) -> Iterator[Round]:
         """The TIN that the points are tested against in each round."""

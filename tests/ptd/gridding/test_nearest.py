@@ -36,11 +36,13 @@ def clouds(pixels: Pixels, n: int, seed: int) -> dict[str, np.ndarray]:
     x, y, step, scale = pixels.lattice
     west, north = x // scale, y // scale
     size, reach = step // scale, 400
-    xyz = np.stack((
-        rng.integers(west - reach, west + pixels.columns * size + reach, n),
-        rng.integers(north - pixels.rows * size - reach, north + reach, n),
-        rng.integers(0, 50, n),
-    ))  # fmt: skip
+    xyz = np.stack(
+        (
+            rng.integers(west - reach, west + pixels.columns * size + reach, n),
+            rng.integers(north - pixels.rows * size - reach, north + reach, n),
+            rng.integers(0, 50, n),
+        )
+    )
     middle = np.abs(xyz[0] - xyz[0].mean()) < 0.3 * np.ptp(xyz[0])
     return {
         "even": xyz,

@@ -88,10 +88,14 @@ def test_a_core_far_from_the_border_carries_no_mark_though_points_lie_beyond() -
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
-    scene=st.sampled_from(sorted(SCENES)), variant=st.sampled_from(sorted(VARIANTS)), seed=st.integers(0, 10**6),
-    west=st.integers(-2000, 20000), south=st.integers(-2000, 15000),
-    wide=st.integers(100, 15000), high=st.integers(100, 15000),
-)  # fmt: skip
+    scene=st.sampled_from(sorted(SCENES)),
+    variant=st.sampled_from(sorted(VARIANTS)),
+    seed=st.integers(0, 10**6),
+    west=st.integers(-2000, 20000),
+    south=st.integers(-2000, 15000),
+    wide=st.integers(100, 15000),
+    high=st.integers(100, 15000),
+)
 def test_any_window_of_any_scene(
     scene: str, variant: str, seed: int, west: int, south: int, wide: int, high: int
 ) -> None:
@@ -131,12 +135,17 @@ def small_cells(seed: int) -> tuple[Classic, Cloud, Window]:
     centre, radius = rng.integers(0, SIDE, (2, 1)), rng.choice([0, 0.2, 0.4]) * SIDE
     cloud = cloud[:, ((cloud[:2] - centre) ** 2).sum(axis=0) >= radius**2]
     params = Classic(
-        max_building_size_m=float(rng.choice([4.0, 6.0, 8.5])), thin_cell_m=float(rng.choice([0.0, 0.7, 1.0, 3.0])),
-        terrain_angle_deg=float(rng.choice([10, 30, 88])), iteration_angle_deg=float(rng.choice([6, 15, 30, 60])),
-        edge_length_reduce_m=float(rng.choice([0, 5])), rounds=int(rng.choice([0, 8, 3])),
-        low_radius_m=float(rng.choice([2.5, 5])), low_depth_m=2.0, low_group=int(rng.choice([0, 1, 5])),
+        max_building_size_m=float(rng.choice([4.0, 6.0, 8.5])),
+        thin_cell_m=float(rng.choice([0.0, 0.7, 1.0, 3.0])),
+        terrain_angle_deg=float(rng.choice([10, 30, 88])),
+        iteration_angle_deg=float(rng.choice([6, 15, 30, 60])),
+        edge_length_reduce_m=float(rng.choice([0, 5])),
+        rounds=int(rng.choice([0, 8, 3])),
+        low_radius_m=float(rng.choice([2.5, 5])),
+        low_depth_m=2.0,
+        low_group=int(rng.choice([0, 1, 5])),
         label_pass=bool(rng.random() < 0.7),
-    )  # fmt: skip
+    )
     (west, south), (wide, high) = rng.integers(0, SIDE, 2), rng.integers(SIDE // 4, SIDE // 2, 2)
     return params, cloud, Window(int(west - wide), int(south - high), int(west + wide), int(south + high))
 
@@ -227,9 +236,11 @@ def test_a_place_in_the_circle_puts_it_in_doubt(place: tuple[int, int]) -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(
-    corners=st.lists(st.tuples(st.integers(0, 59_999), st.integers(0, 59_999)), min_size=3, max_size=3, unique=True),
+    corners=st.lists(
+        st.tuples(st.integers(0, 59_999), st.integers(0, 59_999)), min_size=3, max_size=3, unique=True
+    ),
     place=st.tuples(st.integers(0, 59_999), st.integers(0, 59_999)),
-)  # fmt: skip
+)
 def test_a_place_in_doubt_is_never_overlooked(corners: list[tuple[int, int]], place: tuple[int, int]) -> None:
     (ax, ay), (bx, by), (cx, cy) = [(x - place[0], y - place[1]) for x, y in corners]
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
@@ -276,9 +287,12 @@ def test_window_inside_whole_cells() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(
-    corners=st.lists(st.tuples(st.integers(0, 59_999), st.integers(0, 59_999)), min_size=3, max_size=3, unique=True),
-    reach=st.sampled_from([0.0, 2000.0, 5000.0]), seed=st.integers(0, 10**6),
-)  # fmt: skip
+    corners=st.lists(
+        st.tuples(st.integers(0, 59_999), st.integers(0, 59_999)), min_size=3, max_size=3, unique=True
+    ),
+    reach=st.sampled_from([0.0, 2000.0, 5000.0]),
+    seed=st.integers(0, 10**6),
+)
 def test_places_near_triangles_are_in_doubt(corners: list[tuple[int, int]], reach: float, seed: int) -> None:
     """All within the reach, none a few cells beyond it; distances by sampling the triangle."""
     (ax, ay), (bx, by), (cx, cy) = corners

@@ -122,9 +122,15 @@ def test_limits_in_feet_are_those_in_metres() -> None:
 
 # A terrace: a step of 5 m between two flats; the facets of the step are steep.
 TERRACE = (
-    (0, 0, 0), (0, 12_000, 0), (5_000, 0, 0), (5_000, 12_000, 0), (6_000, 0, 5_000), (6_000, 12_000, 5_000),
-    (12_000, 0, 5_000), (12_000, 12_000, 5_000),
-)  # fmt: skip
+    (0, 0, 0),
+    (0, 12_000, 0),
+    (5_000, 0, 0),
+    (5_000, 12_000, 0),
+    (6_000, 0, 5_000),
+    (6_000, 12_000, 5_000),
+    (12_000, 0, 5_000),
+    (12_000, 12_000, 5_000),
+)
 
 
 def test_on_a_steep_facet_a_point_is_tested_where_its_mirror_image_lies() -> None:

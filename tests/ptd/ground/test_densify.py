@@ -29,10 +29,14 @@ def run(
 
 @settings(max_examples=10, deadline=None)
 @given(
-    seed=st.integers(0, 10**6), rough=st.sampled_from([50, 800, 4000]), rounds=st.sampled_from([0, 1, 2, 5]),
-    angle=st.sampled_from([8.0, 25.0, 50.0]), terrain=st.sampled_from([5.0, 20.0, 88.0]),
-    reduce=st.sampled_from([0.0, 15.0]), stop=st.sampled_from([0.0, 4.0]),
-)  # fmt: skip
+    seed=st.integers(0, 10**6),
+    rough=st.sampled_from([50, 800, 4000]),
+    rounds=st.sampled_from([0, 1, 2, 5]),
+    angle=st.sampled_from([8.0, 25.0, 50.0]),
+    terrain=st.sampled_from([5.0, 20.0, 88.0]),
+    reduce=st.sampled_from([0.0, 15.0]),
+    stop=st.sampled_from([0.0, 4.0]),
+)
 def test_the_vertices_are_those_of_the_naive_way(
     seed: int, rough: int, rounds: int, angle: float, terrain: float, reduce: float, stop: float
 ) -> None:

@@ -99,9 +99,15 @@ def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
     cells = Cells.of(1.0, Scale(origin=(-250, 7000)))
     low = LowNoise(*columns((300, 0, -100), (-800, 5000, 7), (1249, 999, -80)), cells)
     points = columns(
-        (250, 0, -80), (1249, 999, -79), (700, 500, -900), (-1750, 5999, 7), (-751, 5000, 8), (249, 0, -900),
-        (300, -1, -900), (1250, 0, -900),
-    )  # fmt: skip
+        (250, 0, -80),
+        (1249, 999, -79),
+        (700, 500, -900),
+        (-1750, 5999, 7),
+        (-751, 5000, 8),
+        (249, 0, -900),
+        (300, -1, -900),
+        (1250, 0, -900),
+    )
     assert low.holds(*points).tolist() == [True, False, True, True, False, False, False, False]
     assert not LowNoise(*columns(), cells).holds(*points).any()
 

@@ -39,12 +39,17 @@ def field(height: object = 0.0) -> np.ndarray:
 @settings(max_examples=80, deadline=None)
 @given(
     points=st.lists(
-        st.tuples(st.integers(-9000, 9000), st.integers(-9000, 9000), st.sampled_from([0, 3000, 4000, 4001, 9000])),
-        min_size=1, max_size=50,
+        st.tuples(
+            st.integers(-9000, 9000), st.integers(-9000, 9000), st.sampled_from([0, 3000, 4000, 4001, 9000])
+        ),
+        min_size=1,
+        max_size=50,
     ),
-    radius=st.sampled_from([1.0, 2.5, 5.0]), group=st.integers(0, 4),
-    unit=st.sampled_from([Fraction(1, 1000), FEET]), spread=st.sampled_from([1, 1, 30]),
-)  # fmt: skip
+    radius=st.sampled_from([1.0, 2.5, 5.0]),
+    group=st.integers(0, 4),
+    unit=st.sampled_from([Fraction(1, 1000), FEET]),
+    spread=st.sampled_from([1, 1, 30]),
+)
 def test_the_definition(
     points: list[tuple[int, int, int]], radius: float, group: int, unit: Fraction, spread: int
 ) -> None:

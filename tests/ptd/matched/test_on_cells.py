@@ -55,10 +55,17 @@ def test_laser_scans_are_filtered_as_the_paper_has_it(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_next_to_no_points_give_no_error(name: str, n: int) -> None:
     """Cells with a single point have no height: 7 points fill two cells."""
-    xyz = np.array([
-        [5.0, 5.0, 1.0], [8.0, 5.0, 1.0], [5.0, 9.0, 1.0],
-        [5.1, 5.1, 1.0], [8.1, 5.1, 1.0], [8.2, 5.1, 1.0], [5.2, 5.1, 1.0],
-    ])[:n]  # fmt: skip
+    xyz = np.array(
+        [
+            [5.0, 5.0, 1.0],
+            [8.0, 5.0, 1.0],
+            [5.0, 9.0, 1.0],
+            [5.1, 5.1, 1.0],
+            [8.1, 5.1, 1.0],
+            [8.2, 5.1, 1.0],
+            [5.2, 5.1, 1.0],
+        ]
+    )[:n]
     assert len(ptd.classify(xyz.reshape(-1, 3), name, kind="dim").classification) == n
 
 

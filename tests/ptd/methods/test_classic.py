@@ -110,8 +110,10 @@ def test_tiny_clouds_are_ground(name: str, thin: float) -> None:
 @settings(max_examples=60, deadline=None)
 @given(
     points=st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9), st.integers(0, 9)), max_size=25),
-    spacing=st.sampled_from([1, 100, 3000]), closed=st.booleans(), thin=st.sampled_from([0.0, 1.0]),
-)  # fmt: skip
+    spacing=st.sampled_from([1, 100, 3000]),
+    closed=st.booleans(),
+    thin=st.sampled_from([0.0, 1.0]),
+)
 def test_any_few_points_are_labelled(
     points: list[tuple[int, int, int]], spacing: int, closed: bool, thin: float
 ) -> None:

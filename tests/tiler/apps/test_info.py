@@ -80,8 +80,16 @@ def test_raster(tmp_path: Path) -> None:
     path = tmp_path / "dtm.tif"
     heights = np.arange(20, dtype=np.float32).reshape(4, 5)
     heights[0, 0] = -9999
-    profile = {"driver": "GTiff", "height": 4, "width": 5, "count": 1, "dtype": "float32", "nodata": -9999,
-               "crs": "EPSG:25832", "transform": Affine(2, 0, 100, 0, -2, 200)}  # fmt: skip
+    profile = {
+        "driver": "GTiff",
+        "height": 4,
+        "width": 5,
+        "count": 1,
+        "dtype": "float32",
+        "nodata": -9999,
+        "crs": "EPSG:25832",
+        "transform": Affine(2, 0, 100, 0, -2, 200),
+    }
     with rasterio.open(path, "w", **profile) as raster:
         raster.write(heights, 1)
         raster.units = ("metre",)

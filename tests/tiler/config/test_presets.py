@@ -82,9 +82,17 @@ def test_an_unknown_preset_is_refused_with_the_names() -> None:
 
 @pytest.mark.parametrize(
     ("value", "error"),
-    [("many", "must be a number"), (0, "could be a height"), (-0.5, "could be a height"), (8848.0, "could be"),
-     (-9999.1, "cannot hold it exactly"), (float("nan"), "cannot hold"), (1e300, "cannot hold"), ([1], "a number")],
-)  # fmt: skip
+    [
+        ("many", "must be a number"),
+        (0, "could be a height"),
+        (-0.5, "could be a height"),
+        (8848.0, "could be"),
+        (-9999.1, "cannot hold it exactly"),
+        (float("nan"), "cannot hold"),
+        (1e300, "cannot hold"),
+        ([1], "a number"),
+    ],
+)
 def test_a_nodata_value_that_misleads_is_refused(value: object, error: str) -> None:
     with pytest.raises(ConfigError, match=error):
         RunConfig.from_mapping({"nodata": value})

@@ -57,8 +57,9 @@ def test_blocks_near_a_few_cells_of_a_huge_raster_are_found_at_once() -> None:
     wide = RasterSpec(Lattice(Fraction(1000)), 0, 4_000_000, 4_000_000, 4_000_000)
     cells = [Cell(0, 0), Cell(31_249, 31_249)]
     assert [b.name for b in wide.blocks_near(Lattice(Fraction(128_000)), cells, 512)] == [
-        "r0000000c3999744", "r3999744c0000000",
-    ]  # fmt: skip
+        "r0000000c3999744",
+        "r3999744c0000000",
+    ]
 
 
 def test_a_block_is_known_by_its_name() -> None:

@@ -12,11 +12,17 @@ from tiler.core.spread import NAMES, SpreadTally, spread
 def expected(d: np.ndarray) -> dict[str, float]:
     median = np.median(d)
     return {
-        "rmse": np.sqrt(np.mean(d**2)), "bias": d.mean(), "median": median,
-        "nmad": 1.4826 * np.median(np.abs(d - median)), "p5": np.percentile(d, 5), "p25": np.percentile(d, 25),
-        "p75": np.percentile(d, 75), "p95": np.percentile(d, 95), "p95_abs": np.percentile(np.abs(d), 95),
+        "rmse": np.sqrt(np.mean(d**2)),
+        "bias": d.mean(),
+        "median": median,
+        "nmad": 1.4826 * np.median(np.abs(d - median)),
+        "p5": np.percentile(d, 5),
+        "p25": np.percentile(d, 25),
+        "p75": np.percentile(d, 75),
+        "p95": np.percentile(d, 95),
+        "p95_abs": np.percentile(np.abs(d), 95),
         "max_abs": np.abs(d).max(),
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("n", [1, 2, 19, 1000])

@@ -105,8 +105,11 @@ def test_it_is_a_valid_cog_with_everything_in_it(tmp_path, store, compress):
     assert structure["PREDICTOR"] == "3"
     truth = heights[good].astype(np.float64)
     for name, value in (
-        ("MINIMUM", truth.min()), ("MAXIMUM", truth.max()), ("MEAN", truth.mean()), ("STDDEV", truth.std()),
-    ):  # fmt: skip
+        ("MINIMUM", truth.min()),
+        ("MAXIMUM", truth.max()),
+        ("MEAN", truth.mean()),
+        ("STDDEV", truth.std()),
+    ):
         assert float(band[f"STATISTICS_{name}"]) == pytest.approx(value, rel=1e-12)
     assert float(band["STATISTICS_VALID_PERCENT"]) == pytest.approx(100 * good.mean(), rel=1e-3)
     assert (record["pixels"], record["valid"]) == (heights.size, int(good.sum()))

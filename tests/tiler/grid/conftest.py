@@ -63,9 +63,12 @@ def make_scene(tmp_path: Path) -> Callable[..., Scene]:
     made: list[Scene] = []
 
     def make(
-        xyz: np.ndarray, labels: np.ndarray | None = None, flags: np.ndarray | None = None,
-        frame: CoordFrame | None = None, bucket: int = 40_000,
-    ) -> Scene:  # fmt: skip
+        xyz: np.ndarray,
+        labels: np.ndarray | None = None,
+        flags: np.ndarray | None = None,
+        frame: CoordFrame | None = None,
+        bucket: int = 40_000,
+    ) -> Scene:
         frame = frame or CoordFrame()
         labels = np.full(len(xyz), 2, np.uint8) if labels is None else labels
         flags = np.zeros(len(xyz), np.uint8) if flags is None else flags
@@ -85,9 +88,13 @@ def make_scene(tmp_path: Path) -> Callable[..., Scene]:
         infos = {}
         for cell, rows in inside.items():
             block = PointBlock(
-                local[:, rows], np.ones(len(rows), np.uint8), flags[rows], np.ones((2, len(rows)), np.uint8),
-                None, pack_origin(0, rows.astype(np.int64)),
-            )  # fmt: skip
+                local[:, rows],
+                np.ones(len(rows), np.uint8),
+                flags[rows],
+                np.ones((2, len(rows)), np.uint8),
+                None,
+                pack_origin(0, rows.astype(np.int64)),
+            )
             infos[cell] = store.write_bucket(cell, block, 0)
         store.publish_index(infos)
         for cell, rows in inside.items():

@@ -43,9 +43,15 @@ def test_a_plane_in_the_file(make_scene, tmp_path, code, unit, origin, size):
         out = tmp_path / name
         out.mkdir()
         work = WriteCog(
-            name=name, raster=name, product="dtm", spec=spec, out=str(out), compress="deflate", fill=NODATA,
+            name=name,
+            raster=name,
+            product="dtm",
+            spec=spec,
+            out=str(out),
+            compress="deflate",
+            fill=NODATA,
             tags={"TILER_METHOD": "keep"},
-        )  # fmt: skip
+        )
         write_cog(scene.store.url, work)
         files.append(out / f"{name}.tif")
     assert files[0].read_bytes() == files[1].read_bytes()

@@ -89,8 +89,16 @@ def test_gdal_says_the_same(kind: str, tmp_path: Path) -> None:
         pytest.skip("no gdaldem here")
     heights = hills(90, 110)
     source, target = tmp_path / "dtm.tif", tmp_path / "out.tif"
-    profile = {"driver": "GTiff", "height": 90, "width": 110, "count": 1, "dtype": "float32", "nodata": NODATA,
-               "transform": rasterio.Affine(2, 0, 500, 0, -2, 900), "crs": "EPSG:25832"}  # fmt: skip
+    profile = {
+        "driver": "GTiff",
+        "height": 90,
+        "width": 110,
+        "count": 1,
+        "dtype": "float32",
+        "nodata": NODATA,
+        "transform": rasterio.Affine(2, 0, 500, 0, -2, 900),
+        "crs": "EPSG:25832",
+    }
     with rasterio.open(source, "w", **profile) as raster:
         raster.write(np.where(np.isnan(heights), NODATA, heights).astype(np.float32), 1)
     options = ["-multidirectional"] if kind == "hillshade" else []
@@ -111,11 +119,16 @@ def test_blocks_do_not_show_and_units_count(product: str, tmp_path: Path) -> Non
     heights = hills(600, 530)
     # The same slopes: heights in feet over metres, and in metres over feet.
     found = []
-    for number, (units, scale) in enumerate(((Units(), 1.0), (Units(METRE, FOOT), 1 / 0.3048),
-                                             (Units(FOOT, METRE), 0.3048))):  # fmt: skip
+    for number, (units, scale) in enumerate(
+        ((Units(), 1.0), (Units(METRE, FOOT), 1 / 0.3048), (Units(FOOT, METRE), 0.3048))
+    ):
         lattice = Lattice(Fraction(1000))
-        meta = StoreMeta(frame=CoordFrame(units), bucket=Lattice(Fraction(50_000)), fine=Lattice(Fraction(500)),
-                         has_rgb=False)  # fmt: skip
+        meta = StoreMeta(
+            frame=CoordFrame(units),
+            bucket=Lattice(Fraction(50_000)),
+            fine=Lattice(Fraction(500)),
+            has_rgb=False,
+        )
         store = create_store(str(tmp_path / f"{number}.zarr"), meta)
         spec, fill = RasterSpec(lattice, -100, 400, 600, 530), PRODUCTS[product].nodata
         store.create_raster("dtm", 600, 530)

@@ -80,9 +80,15 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
     assert has[in_lake].all()
     assert not has[in_notch].any()
     mask_work = MaskBlock(
-        name="mask", spec=spec, block=work.block, rule=FINAL, dtm="dtm", filled="filled", survey="survey",
+        name="mask",
+        spec=spec,
+        block=work.block,
+        rule=FINAL,
+        dtm="dtm",
+        filled="filled",
+        survey="survey",
         coarse=work.rasters.coarse,
-    )  # fmt: skip
+    )
     mask_block(scene.store.url, mask_work)
     mask = whole(scene, spec, "mask")
     assert (mask[in_lake & ~had] == FILLED).all()

@@ -27,9 +27,11 @@ FIELDS = {
     "waveforms": (227, "Q"), "extended": (235, "Q"), "extended count": (243, "I"), "count": (247, "Q"),
 }  # fmt: skip
 INTEGERS = {
-    "B": (0, 1, 3, 6, 0x80, 0x83, 0x86, 0xC3, 0xFF), "H": (0, 1, 20, 227, 375, 0x7FFF, 0xFFFF),
-    "I": (0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 10**6), "Q": (0, 1, 2**31, 2**32, 2**62, 2**63, 2**64 - 1),
-}  # fmt: skip
+    "B": (0, 1, 3, 6, 0x80, 0x83, 0x86, 0xC3, 0xFF),
+    "H": (0, 1, 20, 227, 375, 0x7FFF, 0xFFFF),
+    "I": (0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 10**6),
+    "Q": (0, 1, 2**31, 2**32, 2**62, 2**63, 2**64 - 1),
+}
 DOUBLES = (
     0.0,
     -0.0,

@@ -44,13 +44,19 @@ def slow_candidates(block: PointBlock, taking: np.ndarray, fine: Lattice) -> set
 
 
 POINTS = st.lists(
-    st.tuples(st.integers(30, 119), st.integers(10, 99), st.integers(-3, 3), st.integers(0, 2), st.booleans()),
-    min_size=1, max_size=60,
-)  # fmt: skip
+    st.tuples(
+        st.integers(30, 119), st.integers(10, 99), st.integers(-3, 3), st.integers(0, 2), st.booleans()
+    ),
+    min_size=1,
+    max_size=60,
+)
 
 
-@given(points=POINTS, fine=st.sampled_from([Fraction(10), Fraction(45), Fraction(90, 7), Fraction(1)]),
-       seed=st.integers(0, 100))  # fmt: skip
+@given(
+    points=POINTS,
+    fine=st.sampled_from([Fraction(10), Fraction(45), Fraction(90, 7), Fraction(1)]),
+    seed=st.integers(0, 100),
+)
 def test_candidates_are_the_lowest_whatever_the_order(points: Any, fine: Fraction, seed: int) -> None:
     block = block_of([p[:3] for p in points], source=[p[3] for p in points])
     taking = np.array([p[4] for p in points])

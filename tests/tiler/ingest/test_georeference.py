@@ -43,8 +43,15 @@ def test_units_of_each_axis_are_exact(make_cloud: Any, code: str, point_format: 
     assert ("no vertical CRS" in " ".join(agreed.notes)) == ("+" not in code)
 
 
-@pytest.mark.parametrize(("code", "kind"), [("EPSG:4326", "geographic"), ("EPSG:4979", "geographic"),
-                                            ("EPSG:4978", "geocentric"), ("EPSG:4326+5773", "geographic")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [
+        ("EPSG:4326", "geographic"),
+        ("EPSG:4979", "geographic"),
+        ("EPSG:4978", "geocentric"),
+        ("EPSG:4326+5773", "geographic"),
+    ],
+)
 def test_degrees_and_geocentric_are_refused(make_cloud: Any, code: str, kind: str) -> None:
     def wkt2(cloud: laspy.LasData) -> None:
         text = CRS.from_user_input(code).to_wkt() + "\0"

@@ -154,8 +154,17 @@ def test_a_piece_without_points_writes_nothing(make_cloud: Any, memory_store: An
     (record,) = spool(memory_store, make_cloud("a.las", n=10), wanted=[])
     left = record.pop("left")
     assert sum(n for _, _, n in left) == 10
-    assert record == {"read": 10, "stored": 0, "outside": 0, "dropped": {OUTSIDE_AREA: 10}, "largest_rounding": 0.0,
-                      "buckets": [], "bounds": None, "z": None, "identity": "of k"}  # fmt: skip
+    assert record == {
+        "read": 10,
+        "stored": 0,
+        "outside": 0,
+        "dropped": {OUTSIDE_AREA: 10},
+        "largest_rounding": 0.0,
+        "buckets": [],
+        "bounds": None,
+        "z": None,
+        "identity": "of k",
+    }
     assert memory_store.pieces == {}
 
 

@@ -62,10 +62,16 @@ def test_a_name_says_what_the_file_is(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("folder", "other", "what"),
-    [("out", "out", "is the same as"), ("out/", "out/../out", "is the same as"), (".", "out/a.laz", "holds"),
-     ("link", "out/a.laz", "holds"), ("s3://b/x", "s3://b/x/y", "holds"), ("s3://b/x/", "s3://b/x", "is the same as"),
-     ("file:///", "out", "holds")],
-)  # fmt: skip
+    [
+        ("out", "out", "is the same as"),
+        ("out/", "out/../out", "is the same as"),
+        (".", "out/a.laz", "holds"),
+        ("link", "out/a.laz", "holds"),
+        ("s3://b/x", "s3://b/x/y", "holds"),
+        ("s3://b/x/", "s3://b/x", "is the same as"),
+        ("file:///", "out", "holds"),
+    ],
+)
 def test_a_folder_of_its_own_holds_nothing_else(
     folder: str, other: str, what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

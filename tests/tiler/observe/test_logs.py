@@ -25,9 +25,15 @@ def logging_as_before() -> Iterator[None]:
 
 @pytest.mark.parametrize(
     ("verbosity", "shown"),
-    [(-2, {"error"}), (-1, {"error"}), (0, {"error", "warning"}), (1, {"error", "warning", "info"}),
-     (2, {"error", "warning", "info", "debug"}), (5, {"error", "warning", "info", "debug"})],
-)  # fmt: skip
+    [
+        (-2, {"error"}),
+        (-1, {"error"}),
+        (0, {"error", "warning"}),
+        (1, {"error", "warning", "info"}),
+        (2, {"error", "warning", "info", "debug"}),
+        (5, {"error", "warning", "info", "debug"}),
+    ],
+)
 def test_levels(verbosity: int, shown: set[str], capsys: pytest.CaptureFixture[str]) -> None:
     set_up_logging(verbosity)
     logger = logging.getLogger("tiler.somewhere")

@@ -81,7 +81,11 @@ def test_polygons_in_metres_for_clouds_in_feet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
-        ({"bounds": (0.0, 0.0, 1.0, 1.0), "aoi": "a.shp"}, ConfigError, "--bounds and --aoi: both name a part"),
+        (
+            {"bounds": (0.0, 0.0, 1.0, 1.0), "aoi": "a.shp"},
+            ConfigError,
+            "--bounds and --aoi: both name a part",
+        ),
         ({"bounds": (0.0001, 0.0, 0.0002, 1.0)}, ConfigError, "holds no place"),
         ({"aoi": "absent.gpkg"}, InputError, "no such file"),
         ({"aoi": "a.shp"}, InputError, "has no CRS; write it with one"),
@@ -89,7 +93,7 @@ def test_polygons_in_metres_for_clouds_in_feet(tmp_path: Path) -> None:
         ({"aoi": "world.geojson"}, InputError, "reaches where ETRS89 / UTM zone 32N has no coordinates"),
         ({"aoi": "thin.gpkg"}, InputError, "holds no place"),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused(
     settings: dict[str, Any],
     error: type[TilerError],
@@ -141,17 +145,30 @@ def test_files_far_off_are_not_read(make_cloud: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "code", "text"),
     [
-        (["--bounds", "0", "0", "9", "9"], 2, "--bounds: (0, 0) to (9, 9) holds nothing of the clouds, which lie in"),
-        (["--aoi", "far.gpkg"], 2, "--aoi far.gpkg: (700000, 5400000) to (700001, 5400001) holds nothing of the"),
+        (
+            ["--bounds", "0", "0", "9", "9"],
+            2,
+            "--bounds: (0, 0) to (9, 9) holds nothing of the clouds, which lie in",
+        ),
+        (
+            ["--aoi", "far.gpkg"],
+            2,
+            "--aoi far.gpkg: (700000, 5400000) to (700001, 5400001) holds nothing of the",
+        ),
         (["--aoi", "far.gpkg", "--bounds", "0", "0", "9", "9"], 2, "--bounds and --aoi: both name a part"),
         (["--aoi", "none.gpkg"], 3, "none.gpkg: no such file"),
         (["--aoi", "no.shp"], 3, "no.shp: holds no polygon"),
     ],
-)  # fmt: skip
+)
 def test_one_line_and_its_exit_code(
-    options: list[str], code: int, text: str, make_cloud: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    code: int,
+    text: str,
+    make_cloud: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     corner = [[700_000.0, 5_400_000.0], [700_001.0, 5_400_000.0], [700_001.0, 5_400_001.0]]
     write(tmp_path / "far.gpkg", [shapely.Polygon(corner)], "Polygon")

@@ -44,11 +44,19 @@ ridge = np.abs(COLUMNS - 75)
 
 @pytest.mark.parametrize(
     "heights",
-    [PLAIN, with_hall(1.5), with_hall(-8.0), with_hall(columns=slice(50, 150)), -0.8 * ridge,
-     np.maximum(0, 30 - np.hypot(ROWS - 60, COLUMNS - 75)), np.clip(40 - ridge, 0, 8), np.full((9, 9), np.nan),
-     PLAIN[:0]],
+    [
+        PLAIN,
+        with_hall(1.5),
+        with_hall(-8.0),
+        with_hall(columns=slice(50, 150)),
+        -0.8 * ridge,
+        np.maximum(0, 30 - np.hypot(ROWS - 60, COLUMNS - 75)),
+        np.clip(40 - ridge, 0, 8),
+        np.full((9, 9), np.nan),
+        PLAIN[:0],
+    ],
     ids=["plain", "podium", "pit", "terrace", "ridge", "cone", "embankment", "unknown", "nothing"],
-)  # fmt: skip
+)
 def test_terrain_is_no_roof(heights: np.ndarray) -> None:
     assert roofs(heights, CELL_M) == []
 

@@ -19,9 +19,13 @@ from tiler.report import earlier_statistics
 from tiler.report.html import write_report
 
 EVALUATION = {
-    "type_1": 0.0123, "type_2": None, "total": 0.01, "kappa": 0.975, "points": 3790,
+    "type_1": 0.0123,
+    "type_2": None,
+    "total": 0.01,
+    "kappa": 0.975,
+    "points": 3790,
     "dtm": {"unit": "metre", "rmse": 0.1234, "bias": -0.01, "pixels": 1200},
-}  # fmt: skip
+}
 
 
 @pytest.fixture

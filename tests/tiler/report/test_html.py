@@ -24,16 +24,21 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
         assert figure in page.texts[""]
     told = {
         "problems": ["heights span 9,876 m"],
-        "decisions": ["heights are taken as foot", "200 points dropped: withheld", "slope_deg 12.5",
-                      "tile size 30 m you",
-                      "halo 104 m automatic the method's own reach", "WGS 84 / UTM zone 32N"],
+        "decisions": [
+            "heights are taken as foot",
+            "200 points dropped: withheld",
+            "slope_deg 12.5",
+            "tile size 30 m you",
+            "halo 104 m automatic the method's own reach",
+            "WGS 84 / UTM zone 32N",
+        ],
         "counts": ["read 4,000", "stored 3,800", "dropped: withheld 200", "ground 1,900", "low noise 10"],
         "inputs": ["/data/a.laz", "/data/b.laz", "LAS 1.4, format 6", "4.0 KiB"],
         "outputs": ["dtm.tif 4.0 KiB"],
         "timings": ["ground filter 4 4 1:01", "200.0 MiB", "t+001+001", "projected for a worker 500.0 MiB"],
         "settings": ["max_building_size_m 20", "label_pass yes", "numpy 2.3.4", "tiler 0.1.0"],
         "accuracy": ["Nothing was measured yet"],
-    }  # fmt: skip
+    }
     for name, texts in told.items():
         for text in texts:
             assert text in page.texts[name], name

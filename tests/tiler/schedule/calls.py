@@ -81,8 +81,16 @@ def square(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
     tries.mkdir(parents=True, exist_ok=True)
     (tries / f"{os.getpid()}-{time.monotonic_ns()}").touch()
     if name and len(list(tries.iterdir())) <= arguments.get("times", 99):
-        {"leave": leave, "kill": kill, "crash": crash, "sleep": sleep, "fail": partial(fail, "cloud.las: bad"),
-         "hang": hang_with_the_lock, "allocate": partial(allocate, 8), "stumble": stumble}[name]()  # fmt: skip
+        {
+            "leave": leave,
+            "kill": kill,
+            "crash": crash,
+            "sleep": sleep,
+            "fail": partial(fail, "cloud.las: bad"),
+            "hang": hang_with_the_lock,
+            "allocate": partial(allocate, 8),
+            "stumble": stumble,
+        }[name]()
     return {"square": arguments["value"] ** 2}
 
 

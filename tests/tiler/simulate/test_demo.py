@@ -53,8 +53,11 @@ def test_the_true_dtm_is_the_formula(demo):
 
 def test_the_same_seed_gives_the_same_bytes(demo, tmp_path):
     again = demo_city(tmp_path, seed=3, side_m=320.0, sensor=AlsSensor(density=1.0))
-    for one, two in zip((*demo.paths, *demo.truth_paths, demo.dtm_path),
-                        (*again.paths, *again.truth_paths, again.dtm_path), strict=True):  # fmt: skip
+    for one, two in zip(
+        (*demo.paths, *demo.truth_paths, demo.dtm_path),
+        (*again.paths, *again.truth_paths, again.dtm_path),
+        strict=True,
+    ):
         assert one.read_bytes() == two.read_bytes()
 
 

@@ -141,9 +141,13 @@ def test_blunders_lie_below_the_ground_alone_and_in_clumps():
 
 def test_crowns_and_lawns_are_green_and_roofs_and_streets_are_not():
     site = Site(
-        Terrain(100.0), 100.0, 5, street_m=5.0, green=1.0,
+        Terrain(100.0),
+        100.0,
+        5,
+        street_m=5.0,
+        green=1.0,
         landmarks=Objects(solids=(HOUSE,), crowns=(Crown(75, 75, 106, 6, 5),)),
-    )  # fmt: skip
+    )
     points = survey(site, DimSensor(density=20.0))
     index = gli(points.rgb)
     x, y = points.xyz[:, 0], points.xyz[:, 1]

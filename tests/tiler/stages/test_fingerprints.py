@@ -120,9 +120,13 @@ def test_a_file_that_changes_meanwhile_is_left_out(
     ],
 )
 def test_what_ends_the_run(
-    grown: list[int], settings: dict[str, Any], text: str, paths: list[Path], store: TileStore,
+    grown: list[int],
+    settings: dict[str, Any],
+    text: str,
+    paths: list[Path],
+    store: TileStore,
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     grow_while_it_is_read(monkeypatch, *(paths[i] for i in grown))
     with pytest.raises(InputError, match=text):
         numbered(paths, store, **settings)

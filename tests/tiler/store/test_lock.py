@@ -209,9 +209,11 @@ def test_a_run_in_a_container_is_not_taken_for_dead(tmp_path: Path, meta: StoreM
         "with open_store(sys.argv[1]).lock(): print('held', flush=True); sys.stdin.read()"
     )
     holder = subprocess.Popen(
-        [*contained, sys.executable, "-c", code, store.url], cwd=REPOSITORY, stdin=subprocess.PIPE,
+        [*contained, sys.executable, "-c", code, store.url],
+        cwd=REPOSITORY,
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-    )  # fmt: skip
+    )
     with holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"held\n"

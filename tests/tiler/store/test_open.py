@@ -191,9 +191,13 @@ def test_only_what_is_the_stores_own_is_removed(filled: TileStore) -> None:
 def _no_points() -> PointBlock:
     none = np.empty(0, np.uint8)
     return PointBlock(
-        np.empty((3, 0), np.int32), none, none, np.empty((2, 0), np.uint8), np.empty((3, 0), np.uint16),
+        np.empty((3, 0), np.int32),
+        none,
+        none,
+        np.empty((2, 0), np.uint8),
+        np.empty((3, 0), np.uint16),
         np.empty(0, np.int64),
-    )  # fmt: skip
+    )
 
 
 def test_a_store_that_is_begun_anew_keeps_what_others_put_there(store_url: str, meta: StoreMeta) -> None:

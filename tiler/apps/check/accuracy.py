@@ -90,11 +90,19 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
     facts["asprs"] = _statement(facts, area_km2, float(metres))
     flags = outliers(difference)
     facts["differences"] = [
-        {"name": points.names[i], "x": float(x[i]), "y": float(y[i]), "kind": points.kinds[i],
-         "cover": points.covers[i], "z": float(z[i]), "dtm": _or_none(sampled[i]),
-         "difference": _or_none(difference[i]), "outlier": bool(flags[i])}
+        {
+            "name": points.names[i],
+            "x": float(x[i]),
+            "y": float(y[i]),
+            "kind": points.kinds[i],
+            "cover": points.covers[i],
+            "z": float(z[i]),
+            "dtm": _or_none(sampled[i]),
+            "difference": _or_none(difference[i]),
+            "outlier": bool(flags[i]),
+        }
         for i in range(len(points))
-    ]  # fmt: skip
+    ]
     return {**facts, "notes": notes}
 
 
@@ -241,6 +249,4 @@ def _statement(facts: dict[str, Any], area_km2: float, metres: float) -> dict[st
         if vva["points"]:
             text += f", the actual VVA accuracy RMSEV = {100 * metres * vva['rmse_v']:.1f} cm with {vva['points']}"
         text += "."
-    return {
-        "standard": STANDARD, "least_points": needed, "enough_points": enough, "statement": text,
-    }  # fmt: skip
+    return {"standard": STANDARD, "least_points": needed, "enough_points": enough, "statement": text}

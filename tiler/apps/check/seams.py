@@ -166,9 +166,14 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
     near = interior["mean_jump"] if near is None else near
     excess = None if across is None or near is None else across - near
     return {
-        "unit": unit_label(metres), "metres_per_unit": float(metres), "tile": edges.tile,
-        "bucket": edges.bucket, "interior": interior, **found, "excess": excess,
-    }  # fmt: skip
+        "unit": unit_label(metres),
+        "metres_per_unit": float(metres),
+        "tile": edges.tile,
+        "bucket": edges.bucket,
+        "interior": interior,
+        **found,
+        "excess": excess,
+    }
 
 
 def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:

@@ -133,10 +133,12 @@ def _read(path: Path) -> Iterator[Points]:
     with PointReader(header, NEEDED) as reader:
         for start in range(0, header.point_count, _STEP):
             records = reader.read(start, min(_STEP, header.point_count - start))
-            place = np.stack([
-                np.round((records[axis] * scale + offset) * PER_UNIT).astype(np.int64)
-                for axis, scale, offset in zip("XYZ", header.scales, header.offsets, strict=True)
-            ])  # fmt: skip
+            place = np.stack(
+                [
+                    np.round((records[axis] * scale + offset) * PER_UNIT).astype(np.int64)
+                    for axis, scale, offset in zip("XYZ", header.scales, header.offsets, strict=True)
+                ]
+            )
             classes, flags = class_and_flags(records, header.point_format)
             yield Points(place, classes, (flags & WITHHELD_FLAG) > 0)
 

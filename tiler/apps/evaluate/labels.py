@@ -84,11 +84,18 @@ def scores(counts: Int64s) -> dict[str, Any]:
     n = a + b + c + d
     chance = (a + b) * (a + c) + (c + d) * (b + d)
     return {
-        "points": n, "ignored": ignored,
-        "ground_kept": a, "ground_lost": b, "object_taken": c, "object_kept": d,
-        "type_1": _ratio(b, a + b), "type_2": _ratio(c, c + d), "total": _ratio(b + c, n),
-        "kappa": _ratio((a + d) * n - chance, n * n - chance), "f1": _ratio(2 * a, 2 * a + b + c),
-    }  # fmt: skip
+        "points": n,
+        "ignored": ignored,
+        "ground_kept": a,
+        "ground_lost": b,
+        "object_taken": c,
+        "object_kept": d,
+        "type_1": _ratio(b, a + b),
+        "type_2": _ratio(c, c + d),
+        "total": _ratio(b + c, n),
+        "kappa": _ratio((a + d) * n - chance, n * n - chance),
+        "f1": _ratio(2 * a, 2 * a + b + c),
+    }
 
 
 def _ratio(part: int, whole: int) -> float | None:

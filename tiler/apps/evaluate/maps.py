@@ -36,9 +36,12 @@ LARGEST_PICTURE = 4000
 """Pixels of a PNG's longer side; beyond, its cells are larger than the GeoTIFF's."""
 
 _COLOURS = {
-    RIGHT: (205, 205, 200, 255), TYPE_1: (214, 39, 40, 255), TYPE_2: (31, 90, 200, 255), BOTH: (148, 60, 180, 255),
+    RIGHT: (205, 205, 200, 255),
+    TYPE_1: (214, 39, 40, 255),
+    TYPE_2: (31, 90, 200, 255),
+    BOTH: (148, 60, 180, 255),
     NONE: (0, 0, 0, 0),
-}  # fmt: skip
+}
 """Grey; red and blue as in figure 12 of Chen 2023; violet; transparent."""
 
 Int64s = npt.NDArray[np.int64]
@@ -192,11 +195,20 @@ def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
     west, north, width, height = grid.extent
     side = float(grid.cell)
     profile = {
-        "driver": "GTiff", "height": height, "width": width, "count": len(BANDS), "dtype": "uint8", "nodata": NONE,
-        "crs": crs, "transform": Affine(side, 0, float(west * grid.cell), 0, -side, float((north + 1) * grid.cell)),
-        "tiled": True, "blockxsize": BLOCK_PIXELS, "blockysize": BLOCK_PIXELS, "compress": "deflate",
+        "driver": "GTiff",
+        "height": height,
+        "width": width,
+        "count": len(BANDS),
+        "dtype": "uint8",
+        "nodata": NONE,
+        "crs": crs,
+        "transform": Affine(side, 0, float(west * grid.cell), 0, -side, float((north + 1) * grid.cell)),
+        "tiled": True,
+        "blockxsize": BLOCK_PIXELS,
+        "blockysize": BLOCK_PIXELS,
+        "compress": "deflate",
         "BIGTIFF": "IF_SAFER",
-    }  # fmt: skip
+    }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with (

@@ -149,10 +149,16 @@ def evaluate_scenes(
         )
         total.table += findings.table
         total.withheld += findings.withheld
-        results.append({
-            "name": scene.name, "cloud": str(scene.cloud), "reference": str(scene.reference),
-            **findings.facts(ignore), **how, "maps": written,
-        })  # fmt: skip
+        results.append(
+            {
+                "name": scene.name,
+                "cloud": str(scene.cloud),
+                "reference": str(scene.reference),
+                **findings.facts(ignore),
+                **how,
+                "maps": written,
+            }
+        )
     return {
         **total.facts(ignore),
         **{name: sum(r[name] for r in results) for name in ("unmatched_reference", "unmatched_cloud")},

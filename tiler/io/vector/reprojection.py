@@ -104,9 +104,10 @@ def _rebuilt(geometry: BaseGeometry, moved: Any) -> BaseGeometry:
         return shapely.Point(moved(_places(geometry), False)[0])
     parts = [_rebuilt(part, moved) for part in geometry.geoms]
     return {
-        "MultiPolygon": shapely.MultiPolygon, "MultiLineString": shapely.MultiLineString,
+        "MultiPolygon": shapely.MultiPolygon,
+        "MultiLineString": shapely.MultiLineString,
         "MultiPoint": shapely.MultiPoint,
-    }[geometry.geom_type](parts)  # fmt: skip
+    }[geometry.geom_type](parts)
 
 
 def _places(geometry: BaseGeometry) -> Places:

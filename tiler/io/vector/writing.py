@@ -52,9 +52,16 @@ class GeoPackage:
             warnings.simplefilter("ignore", RuntimeWarning)
             warnings.simplefilter("ignore", UserWarning)
             raw.write(
-                self._path, shapes, list(columns.values()), list(columns), layer=layer, driver="GPKG",
-                geometry_type=kind, crs=self._crs, append=layer in self._layers,
-            )  # fmt: skip
+                self._path,
+                shapes,
+                list(columns.values()),
+                list(columns),
+                layer=layer,
+                driver="GPKG",
+                geometry_type=kind,
+                crs=self._crs,
+                append=layer in self._layers,
+            )
         self._layers.add(layer)
 
 

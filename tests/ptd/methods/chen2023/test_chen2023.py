@@ -47,10 +47,16 @@ def test_a_roof_wider_than_the_largest_building_stays() -> None:
 
 def test_tails_and_isolated_points_and_low_groups_are_no_ground() -> None:
     xyz, _ = town()
-    odd = np.array([
-        [30.0, 70.0, -400.0], [31.0, 70.0, -401.0], [130.0, 130.0, 900.0],  # tails
-        [50.2, 80.0, 40.0], [100.0, 100.0, -2.0], [110.0, 20.0, 2.0],  # isolated, above and below
-    ])  # fmt: skip
+    odd = np.array(
+        [
+            [30.0, 70.0, -400.0],
+            [31.0, 70.0, -401.0],
+            [130.0, 130.0, 900.0],  # tails
+            [50.2, 80.0, 40.0],
+            [100.0, 100.0, -2.0],
+            [110.0, 20.0, 2.0],  # isolated, above and below
+        ]
+    )
     group = np.array([[15.5 + i, 60.5 + j, -8.0 + 0.1 * i] for i in (0, 1) for j in (0, 1)])  # a cell each
     result = ptd.classify(np.concatenate([xyz, odd, group]), "chen2023", kind="lidar")
     classes = result.classification[len(xyz) :]
@@ -86,9 +92,13 @@ def test_noise_among_the_seeds_goes_and_densification_may_take_it_back() -> None
 
 
 TINY = {
-    "none": [], "one": [(5, 5, 5)], "two": [(5, 5, 5), (90, 7, 6)], "three": [(5, 5, 5), (90, 7, 6), (30, 20, 5)],
-    "on a line": [(k * 1.3, k * 2.6, k * 0.1) for k in range(40)], "at one spot": [(7, 7, k % 2) for k in range(9)],
-}  # fmt: skip
+    "none": [],
+    "one": [(5, 5, 5)],
+    "two": [(5, 5, 5), (90, 7, 6)],
+    "three": [(5, 5, 5), (90, 7, 6), (30, 20, 5)],
+    "on a line": [(k * 1.3, k * 2.6, k * 0.1) for k in range(40)],
+    "at one spot": [(7, 7, k % 2) for k in range(9)],
+}
 
 
 @pytest.mark.parametrize("name", TINY)
@@ -104,9 +114,17 @@ def test_a_cloud_of_outliers_alone_has_no_ground() -> None:
     """Heights 0, 10, 20, 30, 40 at five places a metre apart: each is far from all others."""
     cloud = np.array([[k, 0.5 * k, 10.0 * k] for k in range(5)])
     assert ptd.classify(cloud, "chen2023").classification.tolist() == [1] * 5
-    model = Chen2023(robust_cells=False).passes[1].fit(
-        Points(np.zeros((3, 0), np.int32)), Window(0, 0, 9, 9), Window(0, 0, 9, 9), Scale(), {"tails": None}
-    )  # fmt: skip
+    model = (
+        Chen2023(robust_cells=False)
+        .passes[1]
+        .fit(
+            Points(np.zeros((3, 0), np.int32)),
+            Window(0, 0, 9, 9),
+            Window(0, 0, 9, 9),
+            Scale(),
+            {"tails": None},
+        )
+    )
     assert model.label(Points(np.zeros((3, 1), np.int32)))[1].tolist() == [True]
 
 
@@ -114,12 +132,25 @@ def test_the_papers_six_parameters_are_the_tables_first() -> None:
     table = (chen2023.__doc__ or "").split("reason")[1].splitlines()
     names = [line.split()[0] for line in table if line[:1].islower()]
     assert names[:6] == [
-        "max_building_size", "initial_window", "terrain_angle", "rounds", "iteration_angle", "iteration_distance",
-    ]  # fmt: skip
-    assert {f"{name}{unit}" for name in names[:6] for unit in ("", "_m", "_deg")} >= {
-        "max_building_size_m", "initial_window", "terrain_angle_deg", "rounds", "iteration_angle_deg",
-        "iteration_distance_m",
-    } <= set(Chen2023.__dataclass_fields__)  # fmt: skip
+        "max_building_size",
+        "initial_window",
+        "terrain_angle",
+        "rounds",
+        "iteration_angle",
+        "iteration_distance",
+    ]
+    assert (
+        {f"{name}{unit}" for name in names[:6] for unit in ("", "_m", "_deg")}
+        >= {
+            "max_building_size_m",
+            "initial_window",
+            "terrain_angle_deg",
+            "rounds",
+            "iteration_angle_deg",
+            "iteration_distance_m",
+        }
+        <= set(Chen2023.__dataclass_fields__)
+    )
 
 
 def test_exponential_windows_need_an_initial_window_of_2() -> None:

@@ -40,14 +40,23 @@ def random_case(seed: int) -> tuple[Chen2023, Cloud, Window]:
     exponential = bool(rng.random() < 0.3)
     params = Chen2023(
         robust_cells=False,
-        max_building_size_m=float(rng.choice([2.0, 3.0, 4.5])), initial_window=2 if exponential else 1,
-        exponential_windows=exponential, thin_cell_m=float(rng.choice([0.7, 1.0, 2.0])),
-        terrain_angle_deg=float(rng.choice([30, 88])), iteration_angle_deg=float(rng.choice([6, 6, 25])),
-        mean_layers=int(rng.choice([0, 2, 5])), low_radius_m=float(rng.choice([1.0, 2.5])), low_depth_m=2.0,
-        low_group=int(rng.choice([0, 5])), long_side=float(rng.choice([0.0, 0.7, 1.5])),
-        narrow_angle_deg=float(rng.choice([15, 30, 45])), cluster_seeds=int(rng.choice([0, 5, 50])),
-        prominence_m=0.3, rounds=int(rng.choice([0, 1, 1, 2])), label_pass=bool(rng.random() < 0.7),
-    )  # fmt: skip
+        max_building_size_m=float(rng.choice([2.0, 3.0, 4.5])),
+        initial_window=2 if exponential else 1,
+        exponential_windows=exponential,
+        thin_cell_m=float(rng.choice([0.7, 1.0, 2.0])),
+        terrain_angle_deg=float(rng.choice([30, 88])),
+        iteration_angle_deg=float(rng.choice([6, 6, 25])),
+        mean_layers=int(rng.choice([0, 2, 5])),
+        low_radius_m=float(rng.choice([1.0, 2.5])),
+        low_depth_m=2.0,
+        low_group=int(rng.choice([0, 5])),
+        long_side=float(rng.choice([0.0, 0.7, 1.5])),
+        narrow_angle_deg=float(rng.choice([15, 30, 45])),
+        cluster_seeds=int(rng.choice([0, 5, 50])),
+        prominence_m=0.3,
+        rounds=int(rng.choice([0, 1, 1, 2])),
+        label_pass=bool(rng.random() < 0.7),
+    )
     (west, south), (wide, high) = rng.integers(0, SIDE, 2), rng.integers(SIDE // 4, SIDE // 2, 2)
     return params, cloud, Window(int(west - wide), int(south - high), int(west + wide), int(south + high))
 

@@ -20,7 +20,7 @@ JUMPS = [
     ([5, 5, 5], None),
     ([1, 2, 3], None),
     ([], None),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("counts", "bins"), JUMPS)

@@ -201,9 +201,13 @@ def test_the_papers_comparison_between_facades() -> None:
     scene = make_scene("dim_area_city")
     result = classify(scene.xyz, "dong2017", rgb=scene.rgb)
     papers = Classic(
-        max_building_size_m=30.0, iteration_angle_deg=6.0, edge_length_reduce_m=0.0, rounds=0, thin_cell_m=0.0,
+        max_building_size_m=30.0,
+        iteration_angle_deg=6.0,
+        edge_length_reduce_m=0.0,
+        rounds=0,
+        thin_cell_m=0.0,
         label_pass=False,
-    )  # fmt: skip
+    )
     lost = classify(scene.xyz, "classic", papers).classification != 2
     assert scene.rgb is not None
     grey = gli_bins(np.ascontiguousarray(scene.rgb.T)) < result.decisions["statistics"]["green_from"]

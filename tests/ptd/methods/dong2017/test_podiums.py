@@ -23,7 +23,7 @@ PODIUM = [
     ([0, 500, 1000, 1500], [0, 100, 200, 300], [False] * 4),
     # All are judged before any is dropped: the one in the middle drops the highest, though it goes too.
     ([0, 400, 800], [0, 300, 600], [False, True, True]),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("x", "z", "dropped"), PODIUM)

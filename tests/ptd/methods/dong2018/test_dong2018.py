@@ -234,8 +234,9 @@ def test_thresholds_that_move_the_other_way_are_said_and_kept() -> None:
     assert not any("warning" in note for note in state["notes"])
     state = MeasurePass(DEFAULTS, 2).reduce(measured(8, 7), state)
     assert [note.split("warning: ")[1][:20] for note in state["notes"] if "warning" in note] == [
-        "the angle does not g", "the distance does no",
-    ]  # fmt: skip
+        "the angle does not g",
+        "the distance does no",
+    ]
     last = state["scales"][-1]
     assert last["angle_deg"] == pytest.approx(8.5 + 0.99)
     assert last["distance_m"] == pytest.approx(0.02 * (7.5 + 0.99))

@@ -78,9 +78,12 @@ def test_a_seed_in_a_pit_is_rejected_as_well() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(
-    seed=st.integers(0, 10**6), rough=st.sampled_from([20.0, 500.0]), confidence=st.sampled_from([0.7, 0.9, 0.98]),
-    virtual=st.booleans(), blunders=st.integers(0, 3),
-)  # fmt: skip
+    seed=st.integers(0, 10**6),
+    rough=st.sampled_from([20.0, 500.0]),
+    confidence=st.sampled_from([0.7, 0.9, 0.98]),
+    virtual=st.booleans(),
+    blunders=st.integers(0, 3),
+)
 def test_as_numpy_does_it(seed: int, rough: float, confidence: float, virtual: bool, blunders: int) -> None:
     points = hill(seed, rough)
     rng = np.random.default_rng(seed + 1)

@@ -80,8 +80,9 @@ def test_tiny_clouds_are_ground(name: str) -> None:
 @settings(max_examples=30, deadline=None)
 @given(
     points=st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9), st.integers(0, 9)), max_size=25),
-    spacing=st.sampled_from([1, 100, 3000]), closed=st.booleans(),
-)  # fmt: skip
+    spacing=st.sampled_from([1, 100, 3000]),
+    closed=st.booleans(),
+)
 def test_any_few_points_are_labelled(points: list[tuple[int, int, int]], spacing: int, closed: bool) -> None:
     cloud = (np.array(points, np.int32).reshape(-1, 3).T * spacing).astype(np.int32)
     window = Window(0, 0, 9 * spacing + 1, OPEN) if closed else EVERYTHING
@@ -221,14 +222,22 @@ def rough_roofs(seed: int) -> tuple[np.random.Generator, Cloud, Ridge2016]:
     z[rng.random(x.size) < 0.2] += rng.uniform(2, 9)
     cloud[2] = np.rint(z * CM)
     params = Ridge2016(
-        max_building_size_m=float(rng.choice([5.0, 6.0, 8.5])), thin_cell_m=float(rng.choice([0.7, 1.0, 3.0])),
-        terrain_angle_deg=float(rng.choice([30, 88])), iteration_angle_deg=float(rng.choice([6, 15, 30])),
-        ridge_side=float(rng.choice([0.5, 1.0, 1.5])), ridge_angle_deg=float(rng.choice([2, 10, 25])),
-        ridge_radius_m=float(rng.choice([0.5, 2.0, 5.0])), seed_confidence=float(rng.choice([0.5, 0.8, 0.98])),
-        low_radius_m=2.5, low_depth_m=2.0, low_group=int(rng.choice([0, 1, 5])),
-        label_floor_m=float(rng.choice([0.0, 0.3])), growth=0.0, rounds=int(rng.choice([1, 2, 3, 5])),
+        max_building_size_m=float(rng.choice([5.0, 6.0, 8.5])),
+        thin_cell_m=float(rng.choice([0.7, 1.0, 3.0])),
+        terrain_angle_deg=float(rng.choice([30, 88])),
+        iteration_angle_deg=float(rng.choice([6, 15, 30])),
+        ridge_side=float(rng.choice([0.5, 1.0, 1.5])),
+        ridge_angle_deg=float(rng.choice([2, 10, 25])),
+        ridge_radius_m=float(rng.choice([0.5, 2.0, 5.0])),
+        seed_confidence=float(rng.choice([0.5, 0.8, 0.98])),
+        low_radius_m=2.5,
+        low_depth_m=2.0,
+        low_group=int(rng.choice([0, 1, 5])),
+        label_floor_m=float(rng.choice([0.0, 0.3])),
+        growth=0.0,
+        rounds=int(rng.choice([1, 2, 3, 5])),
         robust_cells=False,
-    )  # fmt: skip
+    )
     return rng, cloud, params
 
 

@@ -38,10 +38,14 @@ def test_sorted_by_cell_then_height(n: int, spread: int, step: int) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    seed=st.integers(0, 10**6), radius=st.sampled_from([0.0, 300.0, 2000.0, 2500.5, 7000.0]),
-    cell=st.sampled_from([0.3, 1.0, 4.0]), step=st.sampled_from([1, 500]), spread=st.sampled_from([5_000, 900_000]),
-    x3=st.integers(-20_000, 20_000), y3=st.integers(-20_000, 20_000),
-)  # fmt: skip
+    seed=st.integers(0, 10**6),
+    radius=st.sampled_from([0.0, 300.0, 2000.0, 2500.5, 7000.0]),
+    cell=st.sampled_from([0.3, 1.0, 4.0]),
+    step=st.sampled_from([1, 500]),
+    spread=st.sampled_from([5_000, 900_000]),
+    x3=st.integers(-20_000, 20_000),
+    y3=st.integers(-20_000, 20_000),
+)
 def test_lowest_within_a_radius(
     seed: int, radius: float, cell: float, step: int, spread: int, x3: int, y3: int
 ) -> None:

@@ -65,9 +65,12 @@ def naive(
 
 @settings(max_examples=6, deadline=None)
 @given(
-    seed=st.integers(0, 10**6), rough=st.sampled_from([50, 800, 4000]), rounds=st.sampled_from([2, 5]),
-    angle=st.sampled_from([8.0, 25.0, 50.0]), cell=st.sampled_from([3.0, 15.0]),
-)  # fmt: skip
+    seed=st.integers(0, 10**6),
+    rough=st.sampled_from([50, 800, 4000]),
+    rounds=st.sampled_from([2, 5]),
+    angle=st.sampled_from([8.0, 25.0, 50.0]),
+    cell=st.sampled_from([3.0, 15.0]),
+)
 def test_the_vertices_are_those_of_the_naive_way(
     seed: int, rough: int, rounds: int, angle: float, cell: float
 ) -> None:

@@ -87,9 +87,12 @@ def test_larger_areas_need_more_points(area: float, points: int) -> None:
 def test_land_covers_are_told_apart(tmp_path: Path) -> None:
     x, y = scattered(6)
     points = Checkpoints(
-        np.array([x, y]), tilted(x, y) - np.array([0.1, 0.1, 0.4, 0.4, 0.4, 0.0]), ("NVA",) * 6,
-        ("road", "road", "field", "field", "field", ""), tuple("abcdef"),
-    )  # fmt: skip
+        np.array([x, y]),
+        tilted(x, y) - np.array([0.1, 0.1, 0.4, 0.4, 0.4, 0.0]),
+        ("NVA",) * 6,
+        ("road", "road", "field", "field", "field", ""),
+        tuple("abcdef"),
+    )
     covers = check_dtm(write_surface(tmp_path / "d.tif", tilted), points)["land_cover"]
     assert {name: (c["points"], round(c["rmse"], 3)) for name, c in covers.items()} == {
         "field": (3, 0.4),

@@ -34,11 +34,9 @@ def read_polygons(path: Path) -> Any:
 
 
 GEOMETRIES: dict[Read, tuple[dict[str, Any], Any, str]] = {
-    read_polygons: (
-        {"type": "MultiPolygon", "coordinates": [[SQUARE]]}, shapely.Polygon(SQUARE), "Polygon"
-    ),
+    read_polygons: ({"type": "MultiPolygon", "coordinates": [[SQUARE]]}, shapely.Polygon(SQUARE), "Polygon"),
     read_checkpoints: ({"type": "Point", "coordinates": [0, 0, 5]}, shapely.Point(1, 2, 3), "Point Z"),
-}  # fmt: skip
+}
 readers = pytest.mark.parametrize("read", GEOMETRIES, ids=lambda read: read.__name__)
 
 
@@ -71,10 +69,16 @@ def test_geojson_with_junk_anywhere(read: Read, tmp_path: Path) -> None:
 @readers
 @pytest.mark.parametrize(
     "content",
-    ["[" * 200_000, '{"a":' * 100_000, '{"type":"FeatureCollection","features":[' + "[" * 100_000, "1" * 5000, "\0",
-     '{"type": "FeatureCollection", "features": [{"geometry": {"coordinates": [' + "9" * 5000 + "]}}]}"],
+    [
+        "[" * 200_000,
+        '{"a":' * 100_000,
+        '{"type":"FeatureCollection","features":[' + "[" * 100_000,
+        "1" * 5000,
+        "\0",
+        '{"type": "FeatureCollection", "features": [{"geometry": {"coordinates": [' + "9" * 5000 + "]}}]}",
+    ],
     ids=["lists", "objects", "features", "number", "nothing", "digits"],
-)  # fmt: skip
+)
 def test_geojson_that_is_none(read: Read, content: str, tmp_path: Path) -> None:
     path = tmp_path / "a.geojson"
     path.write_text(content)

@@ -20,10 +20,13 @@ def text(path: Path, content: str) -> Path:
 
 
 def test_csv_with_a_heading(tmp_path: Path) -> None:
-    path = text(tmp_path / "p.csv", (
-        "\ufeff# surveyed\nID;Northing;Easting;Height;Type;Land_Cover\n"
-        "a;20;10;5.5;nva;asphalt\n\nb;21;11;6.5;VVA;tall grass\n"
-    ))  # fmt: skip
+    path = text(
+        tmp_path / "p.csv",
+        (
+            "\ufeff# surveyed\nID;Northing;Easting;Height;Type;Land_Cover\n"
+            "a;20;10;5.5;nva;asphalt\n\nb;21;11;6.5;VVA;tall grass\n"
+        ),
+    )
     points = read_checkpoints(path)
     assert points.xy.tolist() == [[10, 11], [20, 21]]
     assert points.z.tolist() == [5.5, 6.5]
@@ -90,13 +93,20 @@ def test_geometries_of_other_formats(suffix: str, tmp_path: Path) -> None:
         ("p.geojson", "{", "not valid GeoJSON"),
         ("p.geojson", "[]", r"not valid GeoJSON \(holds no object\)"),
         ("p.geojson", "{}", "no GeoJSON FeatureCollection"),
-        ("p.csv", "x,y,z,id\n1,2,3,'a'\n1,2,3,\"b\n4,5,6,c\n", "line 3: is no line of a table .unexpected end of data"),
-        ("p.csv", f"x,y,z\n1,2,{'9' * 200_000}\n", "line 2: is no line of a table .field larger than field limit"),
+        (
+            "p.csv",
+            "x,y,z,id\n1,2,3,'a'\n1,2,3,\"b\n4,5,6,c\n",
+            "line 3: is no line of a table .unexpected end of data",
+        ),
+        (
+            "p.csv",
+            f"x,y,z\n1,2,{'9' * 200_000}\n",
+            "line 2: is no line of a table .field larger than field limit",
+        ),
         ("p.csv", f"x,y,z\n1,2,{'9' * 400}\n", r"line 2: z '9+\.\.\. is no number"),
-
         ("p.gpkg", "no data base", "does not begin as a .gpkg file does"),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_checkpoints(text(tmp_path / name, content))

@@ -19,19 +19,28 @@ def report(**nva: Any) -> dict[str, Any]:
 
 def test_lengths_have_units() -> None:
     assert parse_requirements(["rmse=0.1", "mean=2cm", "max=1ft", "points=30"]) == [
-        Requirement("rmse", Fraction(1, 10)), Requirement("mean", Fraction(1, 50)),
-        Requirement("max", Fraction(3048, 10_000)), Requirement("points", Fraction(30)),
-    ]  # fmt: skip
+        Requirement("rmse", Fraction(1, 10)),
+        Requirement("mean", Fraction(1, 50)),
+        Requirement("max", Fraction(3048, 10_000)),
+        Requirement("points", Fraction(30)),
+    ]
 
 
 @pytest.mark.parametrize(
     ("text", "value", "met"),
     [
-        ("rmse=0.5ft", 0.1524, True), ("rmse=0.15", 0.1524, False), ("mean=0.21ft", 0.06096, True),
-        ("mean=0.06", 0.06096, False), ("max=0.6", 0.6096, False), ("points=30", 30, True), ("points=31", 30, False),
-        ("outliers=1", 2, False), ("outliers=2", 2, True), ("seam=0.001", 0.001, True),
+        ("rmse=0.5ft", 0.1524, True),
+        ("rmse=0.15", 0.1524, False),
+        ("mean=0.21ft", 0.06096, True),
+        ("mean=0.06", 0.06096, False),
+        ("max=0.6", 0.6096, False),
+        ("points=30", 30, True),
+        ("points=31", 30, False),
+        ("outliers=1", 2, False),
+        ("outliers=2", 2, True),
+        ("seam=0.001", 0.001, True),
     ],
-)  # fmt: skip
+)
 def test_figures_are_held_against_limits(text: str, value: float, met: bool) -> None:
     (judged,) = judge(parse_requirements([text]), report())
     assert (judged["value"], judged["met"]) == (pytest.approx(value), met)
@@ -48,9 +57,13 @@ def test_vegetated_points_are_never_judged() -> None:
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("rmse", "write NAME=VALUE"), ("vva=0.1", "write NAME=VALUE"), ("points=2.5", "no number of points"),
-     ("rmse=high", "no length")],
-)  # fmt: skip
+    [
+        ("rmse", "write NAME=VALUE"),
+        ("vva=0.1", "write NAME=VALUE"),
+        ("points=2.5", "no number of points"),
+        ("rmse=high", "no length"),
+    ],
+)
 def test_what_cannot_be_required(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         parse_requirements([text])

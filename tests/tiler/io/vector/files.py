@@ -37,7 +37,14 @@ def write(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a file without a CRS
         raw.write(
-            path, shapes, [np.array(v) for v in (columns or {}).values()], list(columns or {}), driver=driver,
-            geometry_type=kind, crs=crs, append=append, **named,
-        )  # fmt: skip
+            path,
+            shapes,
+            [np.array(v) for v in (columns or {}).values()],
+            list(columns or {}),
+            driver=driver,
+            geometry_type=kind,
+            crs=crs,
+            append=append,
+            **named,
+        )
     return path

@@ -83,8 +83,10 @@ def test_what_is_mended_and_what_lies_outside(tmp_path: Path) -> None:
 def test_heights_of_lines(tmp_path: Path) -> None:
     flat = shapely.force_2d(WALL)
     path = write(tmp_path / "a.gpkg", [WALL, flat], "LineString Z", columns={"Elev": [9.0, 7.0]})
-    heights = [shapely.get_coordinates(f.geometry, include_z=True)[:, 2].tolist()
-               for f in read_in_crs(path, LINES, UTM, needs_z=True).features]  # fmt: skip
+    heights = [
+        shapely.get_coordinates(f.geometry, include_z=True)[:, 2].tolist()
+        for f in read_in_crs(path, LINES, UTM, needs_z=True).features
+    ]
     assert heights[0] == [3, 6]
     moved = read_in_crs(path, LINES, pyproj.CRS(25833).to_wkt(), needs_z=True)
     assert shapely.get_coordinates(moved.features[0].geometry, include_z=True)[:, 2].tolist() == [3, 6]
@@ -97,7 +99,9 @@ def test_several_layers(tmp_path: Path) -> None:
     write(path, [WALL], "LineString Z", layer="flow")
     assert len(read_features(path, LINES).features) == 1
     assert [f.place for f in read_features(path, LINES_AND_POLYGONS, every_layer=True).features] == [
-        f"{path}: l0, feature 1", f"{path}: flow, feature 1"]  # fmt: skip
+        f"{path}: l0, feature 1",
+        f"{path}: flow, feature 1",
+    ]
     with pytest.raises(
         InputError, match=r"needs one layer of lines or polygons, has 2 \(l0 \(Polygon\), flow \("
     ):
@@ -119,8 +123,16 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
         ("a.geojson", "{", "not valid GeoJSON"),
         ("a.json", "[]", r"not valid GeoJSON \(holds no object\); write polygons as features"),
         ("a.json", json.dumps(collection()), "holds no polygons"),
-        ("a.json", json.dumps({"type": "FeatureCollection", "features": [7]}), "feature 1: is no GeoJSON Feature"),
-        ("a.json", json.dumps(collection({"type": "Point", "coordinates": [1, 2]})), r"has 0 \(a \(Point\)\)"),
+        (
+            "a.json",
+            json.dumps({"type": "FeatureCollection", "features": [7]}),
+            "feature 1: is no GeoJSON Feature",
+        ),
+        (
+            "a.json",
+            json.dumps(collection({"type": "Point", "coordinates": [1, 2]})),
+            r"has 0 \(a \(Point\)\)",
+        ),
         ("a.json", polygon([1, 2], [3, "x"], [5, 6]), "feature 1: its geometry is damaged"),
         ("a.json", polygon([1, 2], [3, 4]), "feature 1: holds no place; draw it wider"),
         ("a.json", polygon([1, 2], [3, 4], [5, float("inf")], [1, 2]), "damaged|that is no number"),
@@ -130,7 +142,7 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
         ("a.shp", "short", "does not begin as a .shp file does"),
         ("a!b.json", polygon(*SQUARE), "rename it"),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message) as caught:
@@ -155,7 +167,9 @@ def test_files_that_are_not_whole(tmp_path: Path) -> None:
     base.close()
     found = read_features(path, POLYGONS)
     assert (len(found.features), found.notes) == (
-        1, (f"{path}: l0: 1 features without a geometry, or with a damaged one, are left out",))  # fmt: skip
+        1,
+        (f"{path}: l0: 1 features without a geometry, or with a damaged one, are left out",),
+    )
 
 
 def test_what_is_written_is_read_and_has_the_same_bytes(tmp_path: Path) -> None:
@@ -175,7 +189,9 @@ def test_what_is_written_is_read_and_has_the_same_bytes(tmp_path: Path) -> None:
     assert len(digests) == 1
     found = read_features(path, LINES)
     assert (found.crs, [f.attributes for f in found.features]) == (
-        "EPSG:25832", [{"elevation": 0.5, "name": "x"}, {"elevation": 1.5, "name": "x"}])  # fmt: skip
+        "EPSG:25832",
+        [{"elevation": 0.5, "name": "x"}, {"elevation": 1.5, "name": "x"}],
+    )
     assert [p.name for p in tmp_path.iterdir()] == ["a.gpkg"]
     with contextlib.suppress(ZeroDivisionError), geopackage(path, None) as file:
         file.add("other", "LineString", [WALL], {})
