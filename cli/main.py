@@ -120,15 +120,24 @@ def _end(error: BaseException, session: Session) -> int:
     """Say on stderr what ended the command, in one line; the exit code."""
     if session.verbosity >= 2:
         for line in "".join(traceback.format_exception(error)).splitlines():
-            say(line, error=True)
+            _tell(line, session)
     if isinstance(error, KeyboardInterrupt | click.Abort):
         warnings.simplefilter("ignore")  # of what was left half done
         rest = "; the same command goes on where it was" if session.resumes else ""
-        say(f"tiler: interrupted{rest}", error=True)
+        _tell(f"tiler: interrupted{rest}", session)
         return exit_codes.INTERRUPTED
     text, code = _line_and_code(error)
-    say(f"tiler: error: {' '.join(text.split())}", error=True)
+    _tell(f"tiler: error: {' '.join(text.split())}", session)
     return code
+
+
+def _tell(line: str, session: Session) -> None:
+    """Write a line to stderr, in the form of the progress."""
+    if session.progress == "json":
+        from tiler.observe.json_lines import json_line
+
+        line = json_line(line, "error")
+    say(line, error=True)
 
 
 def _line_and_code(error: BaseException) -> tuple[str, int]:

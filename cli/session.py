@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from tiler.observe.events import Listener
 
 
 @dataclass
@@ -18,10 +24,13 @@ class Session:
         Number of -v, minus 1 for -q.
     resumes : bool
         The same command would go on where this one is interrupted.
+    progress : {"auto", "plain", "json", "none"}
+        How progress is shown; with ``json`` all that goes to stderr is.
     """
 
     verbosity: int = 0
     resumes: bool = False
+    progress: str = "auto"
 
     @property
     def quiet(self) -> bool:
@@ -34,22 +43,57 @@ def current_session() -> Session:
     return click.get_current_context().ensure_object(Session)
 
 
-class TilerCommand(click.Command):
-    """A command with -v and -q, which sets up the log before it runs."""
+@contextmanager
+def shown_progress() -> Iterator[Listener]:
+    """The listener that shows the progress of the command that runs as its options ask for."""
+    from tiler.observe.progress import open_progress
 
-    def __init__(self, *arguments: Any, resumes: bool = False, **settings: Any) -> None:
+    session = current_session()
+    with open_progress(sys.stderr, session.quiet, session.progress) as listener:
+        yield listener
+
+
+class TilerCommand(click.Command):
+    """A command with -v and -q, and with --progress where it shows some, which sets up the log before it runs."""
+
+    def __init__(
+        self, *arguments: Any, resumes: bool = False, progress: bool = False, **settings: Any
+    ) -> None:
         super().__init__(*arguments, **settings)
         self._resumes = resumes
-        self.params.extend((
-            click.Option(
-                ("-v", "--verbose"), count=True, expose_value=False, is_eager=True, callback=_louder,
-                help="say more; -vv: everything, and tracebacks [default: progress, notes and warnings]",
-            ),
-            click.Option(
-                ("-q", "--quiet"), is_flag=True, expose_value=False, is_eager=True, callback=_quieter,
-                help="no progress, no summary: only warnings and errors [default: no]",
-            ),
-        ))  # fmt: skip
+        if progress:
+            self.params.append(
+                click.Option(
+                    ("--progress",),
+                    type=click.Choice(("auto", "plain", "json", "none")),
+                    default="auto",
+                    expose_value=False,
+                    is_eager=True,
+                    callback=_set_progress,
+                    help="on stderr: bars on a terminal and lines elsewhere (auto), lines, a JSON object a line, or "
+                    "none [default: auto]",
+                )
+            )
+        self.params.extend(
+            (
+                click.Option(
+                    ("-v", "--verbose"),
+                    count=True,
+                    expose_value=False,
+                    is_eager=True,
+                    callback=_louder,
+                    help="say more; -vv: everything, and tracebacks [default: progress, notes and warnings]",
+                ),
+                click.Option(
+                    ("-q", "--quiet"),
+                    is_flag=True,
+                    expose_value=False,
+                    is_eager=True,
+                    callback=_quieter,
+                    help="no progress, no summary: only warnings and errors [default: no]",
+                ),
+            )
+        )
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; what it returns is the exit code, None is 0."""
@@ -57,12 +101,16 @@ class TilerCommand(click.Command):
 
         session = ctx.ensure_object(Session)
         session.resumes = self._resumes
-        set_up_logging(session.verbosity)
+        set_up_logging(session.verbosity, as_json=session.progress == "json")
         return super().invoke(ctx)
 
 
 def _louder(context: click.Context, parameter: click.Parameter, count: int) -> None:
     context.ensure_object(Session).verbosity += count
+
+
+def _set_progress(context: click.Context, parameter: click.Parameter, form: str) -> None:
+    context.ensure_object(Session).progress = form
 
 
 def _quieter(context: click.Context, parameter: click.Parameter, quiet: bool) -> None:

@@ -57,7 +57,10 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
 
 def failed_lines(failed: Sequence[Mapping[str, Any]]) -> list[str]:
     """The tasks that failed, as run.json lists them, and where each leaves a hole."""
-    return [f"failed      {f['stage']} {f['key']}{_place(f.get('bounds'))}: {f['error']}" for f in failed]
+    return [
+        f"failed      {f.get('title', f['stage'])} {f['key']}{_place(f.get('bounds'))}: {f['error']}"
+        for f in failed
+    ]
 
 
 def _place(bounds: Sequence[float] | None) -> str:

@@ -184,6 +184,8 @@ class Pass(ABC):
     ----------
     name : str
         Unique in the method; its state is kept as ``after-<name>``.
+    title : str
+        What it does, in a few words for people; empty: its name says it.
     columns : tuple of str
         Of `Points` besides xyz: ``labels``, ``rgb``, ``returns``.
     every_point : bool
@@ -215,6 +217,7 @@ class Pass(ABC):
     """
 
     name: str
+    title: str = ""
     columns: tuple[str, ...] = ()
     every_point: bool = False
     gives_labels: bool = True

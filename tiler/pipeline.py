@@ -16,7 +16,7 @@ from tiler.io.locations import is_url, joined, put_file
 from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_digests, earlier_outputs, folder_here
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, discreet, silent
-from tiler.plan import Plan, crs_name, make_plan, refuse, remember
+from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_seconds
 from tiler.report.html import write_report
 from tiler.runs.job import Job, Ownership, RunResult
 from tiler.stages.corrections import correct
@@ -25,6 +25,7 @@ from tiler.stages.filter import filter_points
 from tiler.stages.fingerprints import numbered
 from tiler.stages.grid import grid
 from tiler.stages.ingest import assemble, spool
+from tiler.stages.raster_table import wanted
 from tiler.stages.repair import ROUNDS, heal
 from tiler.store import (
     Lease,
@@ -136,6 +137,9 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
         )
+    seconds = stage_seconds(plan, [raster.stage for raster in wanted(plan.config)], until)
+    stages = [{"stage": s, "title": plan.title_of(s), "seconds": round(t, 3)} for s, t in seconds.items()]
+    listener("job_started", {"stages": stages})
     try:
         _healing_stages(job, until)
     except BaseException:

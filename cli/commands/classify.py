@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import click
@@ -10,7 +9,7 @@ import click
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import config_options, json_option, read_config
 from cli.output import print_facts, print_json, say
-from cli.session import TilerCommand, current_session
+from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import failed_lines
 
 SETTINGS = (
@@ -19,7 +18,7 @@ SETTINGS = (
 )  # fmt: skip
 
 
-@click.command("classify", cls=TilerCommand)
+@click.command("classify", cls=TilerCommand, progress=True)
 @click.argument("source", metavar="IN", type=click.Path())
 @click.argument("target", metavar="OUT.laz", type=click.Path())
 @config_options(only=SETTINGS)
@@ -33,10 +32,9 @@ def command(source: str, target: str, as_json: bool, **settings: Any) -> int:
     """
     config = read_config(settings)
     from tiler.apps.classify import classify_file
-    from tiler.observe.progress import open_progress
 
     session = current_session()
-    with open_progress(sys.stderr, session.quiet) as listener:
+    with shown_progress() as listener:
         facts = classify_file(source, target, config, listener)
     if as_json:
         print_json(facts)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import click
 
 from cli.options import config_options, json_option, read_config
 from cli.output import print_json, say
-from cli.session import TilerCommand, current_session
+from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import score_lines, summary_lines
 
 SETTINGS = (
@@ -26,7 +25,7 @@ SETTINGS = (
 )
 
 
-@click.command("demo", cls=TilerCommand, resumes=True)
+@click.command("demo", cls=TilerCommand, progress=True, resumes=True)
 @click.option(
     "-o",
     "--out",
@@ -52,10 +51,9 @@ def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
     """
     config = read_config(settings)
     from tiler.apps.demo import run_demo
-    from tiler.observe.progress import open_progress
 
     session = current_session()
-    with open_progress(sys.stderr, session.quiet) as listener:
+    with shown_progress() as listener:
         result = run_demo(out, seed, config, listener)
     if as_json:
         print_json(result.to_json())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import click
 
 from cli.options import config_options, json_option, read_config
 from cli.output import print_json, print_table, say
-from cli.session import TilerCommand, current_session
+from cli.session import TilerCommand, shown_progress
 from cli.summary import dtm_lines, percent_text, score_lines
 from tiler.config.parsing import parse_classes
 from tiler.core.units import parse_length
@@ -21,7 +20,7 @@ from tiler.observe.events import Listener
 SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo", "memory", "workers")
 
 
-@click.command("evaluate", cls=TilerCommand)
+@click.command("evaluate", cls=TilerCommand, progress=True)
 @click.argument("clouds", metavar="[CLOUD]...", nargs=-1, type=click.Path())
 @click.option(
     "--reference",
@@ -89,7 +88,6 @@ def command(
     if clouds and filters == bool(references):
         raise click.UsageError("name either --reference REF, or --method NAME to filter labelled clouds")
     from tiler.apps.evaluate import IGNORED, evaluate_dtm, find_scenes, refuse_targets
-    from tiler.observe.progress import open_progress
     from tiler.schedule import half_of_memory, read_apart
 
     ignored = IGNORED if ignore is None else parse_classes(ignore)
@@ -99,7 +97,7 @@ def command(
         rasters = [raster for raster in (dtm, true_dtm) if raster is not None]
         refuse_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
     facts: dict[str, Any] = {}
-    with open_progress(sys.stderr, current_session().quiet) as listener:
+    with shown_progress() as listener:
         if clouds:
             facts = _score(clouds, references, settings, ignored, maps, map_cell, listener)
     if dtm is not None and true_dtm is not None:

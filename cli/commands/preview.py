@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from typing import Any
 
 import click
@@ -11,7 +10,7 @@ import click
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import SETTINGS, config_options, inputs_argument, json_option, read_config
 from cli.output import print_json, say
-from cli.session import TilerCommand, current_session
+from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import percent_text
 
 WITHOUT = (
@@ -21,7 +20,7 @@ WITHOUT = (
 """Settings of a run that no preview has."""
 
 
-@click.command("preview", cls=TilerCommand)
+@click.command("preview", cls=TilerCommand, progress=True)
 @inputs_argument
 @click.option(
     "-o",
@@ -57,11 +56,10 @@ def command(
     config = read_config(settings)
     from tiler.apps.preview import make_preview
     from tiler.core.units import parse_length
-    from tiler.observe.progress import open_progress
 
     session = current_session()
     side = None if size is None else float(parse_length(size))
-    with open_progress(sys.stderr, session.quiet) as listener:
+    with shown_progress() as listener:
         found = make_preview(inputs, out, config, listener, number=windows, side_m=side)
     if as_json:
         print_json({"picture": out, "windows": [dataclasses.asdict(window) for window in found]})

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import click
 
 from cli.options import json_option
 from cli.output import print_facts, print_json, print_table
-from cli.session import TilerCommand, current_session
+from cli.session import TilerCommand, current_session, shown_progress
 
 
 def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
@@ -27,7 +26,7 @@ def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: boo
     context.exit()
 
 
-@click.command("simulate", cls=TilerCommand)
+@click.command("simulate", cls=TilerCommand, progress=True)
 @click.argument("out", metavar="OUT.laz", type=click.Path())
 @click.option(
     "--kind",
@@ -106,7 +105,6 @@ def command(
     objects. Works patch by patch, so that the size is bounded by the disk alone.
     """
     from tiler.core.units import parse_length
-    from tiler.observe.progress import open_progress
     from tiler.simulate.files import describe_scene, write_scene
 
     def metres(text: str | None) -> float | None:
@@ -116,7 +114,7 @@ def command(
         scene, kind, seed=seed, side_m=metres(size), density=density, sigma_m=metres(sigma), blunders=blunders
     )
     session = current_session()
-    with open_progress(sys.stderr, session.quiet) as listener:
+    with shown_progress() as listener:
         facts: dict[str, Any] = write_scene(out, spec, float(parse_length(resolution)), listener)
     if as_json:
         print_json(facts)

@@ -92,6 +92,11 @@ class _Wrapped(Pass):
     halo_m: float | None
     reach_m: float | None
 
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """That of the pass."""
+        return self.step.title
+
     @classmethod
     def of(cls, step: Pass, name: str | None = None) -> Self:
         """Wrap a pass, under another name if one is given."""
@@ -137,6 +142,7 @@ class NearGroundPass(MatchedPass):
     """Every point against the TIN of the cells that are ground."""
 
     name: str = "near-ground"
+    title = "label points near the ground"
     columns: tuple[str, ...] = ("labels",)
     elected: bool = True
     reach_m: float | None = facets.reach_m() + (surface.noise_reach_cells() + 3) * CELL_M

@@ -55,6 +55,7 @@ class CellPass(MatchedPass):
     """A robust height for each cell: the points on which the next passes work."""
 
     name: str = "cells"
+    title = "one height for each cell"
     every_point: bool = True
     gives_labels: bool = False
     elects: bool = True
@@ -96,6 +97,11 @@ class ObjectPass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     reach_m: float | None = (objects.reach_cells() + surface.STIFF.reach + 1) * CELL_M
+
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """Once for those that stand alone, once for those within them."""
+        return "find large objects" if self.name == "objects" else "find objects within others"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Codes:
         """Judge the surfaces of the cells that are left."""
@@ -143,6 +149,7 @@ class SurfacePass(MatchedPass):
     """The ground's surface, and every point against it."""
 
     name: str = "surface"
+    title = "fit the surface, label all points"
     columns: tuple[str, ...] = ("labels",)
     elected: bool = True
     raster_cell_m: float = CELL_M

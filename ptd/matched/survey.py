@@ -94,6 +94,7 @@ class SurveyPass(Pass):
     """Density, noise and returns, and what made the cloud."""
 
     name: str = "survey"
+    title = "measure density and noise"
     columns: tuple[str, ...] = ("returns",)
     every_point: bool = True
     gives_labels: bool = False

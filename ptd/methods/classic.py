@@ -82,6 +82,7 @@ class ClassicPass(Pass):
 
     params: Classic
     name: str = "classic"
+    title = "seeds, densification, labels"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> ClassicModel:
         """Densify the window's TIN."""

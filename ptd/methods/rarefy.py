@@ -59,6 +59,7 @@ class RarefyPass(Pass):
 
     params: Rarefy
     name: str = "rarefy"
+    title = "thin, densify, label all points"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> RarefyModel:
         """Densify the window's TIN."""

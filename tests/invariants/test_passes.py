@@ -144,7 +144,9 @@ def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
 
     ours = plan(halo=None)
     assert [step.halo_m for step in ours.passes] == [0.0, 8.0, 8.0]
-    assert "method      lonely, 3 passes, halo: mean 0 m, split 8 m, lonely 8 m" in plan_lines(ours)
+    assert "method      lonely, 3 passes: mean (halo 0 m), split (halo 8 m), lonely (halo 8 m)" in plan_lines(
+        ours
+    )
     assert plan_json(ours)["halos_m"] == {"mean": 0.0, "split": 8.0, "lonely": 8.0}
     assert ours.overlap == pytest.approx(48**2 / 32**2)
     assert [ours.widest_halo_m(step) for step in ours.passes] == [0.0, 32.0, 8.0]

@@ -222,7 +222,7 @@ def _window(
     ground = summary["filter"]["ground"] if "filter" in summary else summary["counts"]["participating"]
     failed = summary["failed_tasks"]
     for task in failed:
-        listener("warning", {"text": f"{task['stage']} {task['key']} failed: {task['error']}"})
+        listener("warning", {"text": f"{task['title']} {task['key']} failed: {task['error']}"})
     window = Window(bounds, summary["counts"]["stored"], ground, len(failed))
     return (_shade(store, "dsm"), _shade(store, "dtm")), window
 

@@ -10,10 +10,11 @@ from tiler.redaction import stored
 Listener = Callable[[str, dict[str, Any]], None]
 """Called with the event's name and JSON-able fields.
 
-Names: ``note`` (text), ``warning`` (text), ``stage_started`` (stage, tasks, points, done), ``task_done``
-(stage, key, points, seconds, peak_rss_bytes), ``task_again``
-(stage, key, error: it failed and is tried again), ``task_failed`` (the same, and its bounds), ``stage_finished``
-(stage, seconds), ``run_finished``.
+Names: ``note`` (text), ``warning`` (text), ``job_started`` (stages: each with stage, title, and the seconds that it may
+take), ``stages_passed_over`` (stages: keys of those that the job turns out not to need), ``stage_started`` (stage,
+title, tasks, points, done), ``task_done`` (stage, key, points, seconds, peak_rss_bytes), ``task_again`` (stage, title,
+key, error: it failed and is tried again), ``task_failed`` (the same, and its bounds), ``stage_finished`` (stage,
+seconds), ``run_finished``. ``stage`` is a key, ``title`` the same in words.
 """
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import IO, Any
 
 from tiler.observe.events import Listener
+from tiler.observe.json_lines import TOLD_BY_FILE, JsonLines
+from tiler.observe.whole_job import StageState, WholeJob
 from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
-TOLD_BY_FILE = "spool"
-"""The stage whose failed tasks are told once for each file, as a warning that names it."""
+TROUBLE = ("warning", "task_failed")
+"""Events that are told even when quiet."""
 
 
 def rate_text(points: float, seconds: float) -> str:
@@ -48,32 +49,12 @@ def duration_text(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-@dataclass
-class _Stage:
-    """How far a stage is. Points are counted where the stage says how many there are, else tasks."""
-
-    name: str
-    tasks: int
-    points: int
-    tasks_done: int
-    started: float
-    points_done: int = 0
-
-    @property
-    def fraction(self) -> float:
-        """The done part of what is left to do, 0 to 1."""
-        if self.points > 0:
-            return min(self.points_done / self.points, 1.0)
-        return min(self.tasks_done / self.tasks, 1.0) if self.tasks else 1.0
-
-
 class _PlainLines:
     """A listener that writes a line when a stage begins and ends, and one now and then between."""
 
     def __init__(self, stream: IO[str], clock: Callable[[], float]) -> None:
-        self._stream = stream
-        self._clock = clock
-        self._stages: dict[str, _Stage] = {}
+        self._stream, self._clock = stream, clock
+        self._job = WholeJob(clock)
         self._last_line = clock()
 
     def _write(self, text: str) -> None:
@@ -81,62 +62,51 @@ class _PlainLines:
         self._last_line = self._clock()
 
     def __call__(self, event: str, fields: dict[str, Any]) -> None:
-        if event in ("note", "warning"):
-            self._write(message_text(event, fields))
-        elif event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
-            self._write(failure_text(fields))
-        elif event == "stage_started":
-            stage = _stage_of(fields, self._clock())
-            if stage.tasks_done < stage.tasks:  # else there is nothing to tell of its end
-                self._stages[stage.name] = stage
-            self._write(f"{stage.name}: {start_text(stage)}")
-        elif event == "task_done" and fields["stage"] in self._stages:
-            stage = self._stages[fields["stage"]]
-            _count(stage, fields)
+        stage = self._job.stage
+        self._job(event, fields)
+        text = trouble_text(event, fields)
+        if text is not None:
+            self._write(text)
+        elif event == "stage_started" and self._job.stage is not None:
+            self._write(f"{self._job.stage.title}: {start_text(self._job.stage)}")
+        elif event == "task_done" and stage is not None:
             if self._clock() - self._last_line >= _LINE_INTERVAL_SECONDS:
-                self._write(f"{stage.name}: {self._middle(stage)}")
-        elif event == "stage_finished" and fields["stage"] in self._stages:
-            stage = self._stages.pop(fields["stage"])
+                self._write(f"{stage.title}: {self._middle(stage)}")
+        elif event == "stage_finished" and stage is not None and stage.todo_share > 0:
             seconds = fields.get("seconds", self._clock() - stage.started)
             rate = rate_text(stage.points_done, seconds)
-            self._write(f"{stage.name}: done in {duration_text(seconds)}" + (f", {rate}" if rate else ""))
+            self._write(f"{stage.title}: done in {duration_text(seconds)}" + (f", {rate}" if rate else ""))
 
-    def _middle(self, stage: _Stage) -> str:
-        seconds = self._clock() - stage.started
-        parts = [f"{stage.fraction:.0%}", rate_text(stage.points_done, seconds)]
-        if 0 < stage.fraction < 1:
-            parts.append(f"{duration_text(seconds * (1 / stage.fraction - 1))} left")
+    def _middle(self, stage: StageState) -> str:
+        parts = [f"{stage.fraction:.0%}", rate_text(stage.points_done, self._clock() - stage.started)]
+        left = self._job.seconds_left()
+        if self._job.known:
+            parts.append(f"whole job {self._job.fraction():.0%}")
+        if left is not None:
+            parts.append(f"about {duration_text(left)} left")
         return ", ".join(p for p in parts if p)
 
 
-def message_text(event: str, fields: dict[str, Any]) -> str:
-    """The line of a note or a warning."""
-    return f"warning: {fields['text']}" if event == "warning" else str(fields["text"])
+def trouble_text(event: str, fields: dict[str, Any]) -> str | None:
+    """The line of a note, a warning or a task that failed; None for other events."""
+    if event == "note":
+        return str(fields["text"])
+    if event == "warning":
+        return f"warning: {fields['text']}"
+    if event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
+        return f"warning: {fields.get('title', fields['stage'])} {fields['key']} failed: {fields['error']}"
+    return None
 
 
-def failure_text(fields: dict[str, Any]) -> str:
-    """The line of a task that failed."""
-    return f"warning: {fields['stage']} {fields['key']} failed: {fields['error']}"
-
-
-def start_text(stage: _Stage) -> str:
+def start_text(stage: StageState) -> str:
     """What a stage has before it."""
     if stage.tasks_done >= stage.tasks:
         done = "its one task was" if stage.tasks == 1 else f"all {stage.tasks} tasks were"
         return f"nothing to do, {done} done before"
-    before = f" ({stage.tasks_done} of {stage.tasks} were done before)" if stage.tasks_done else ""
+    before = f" ({stage.before} of {stage.tasks} were done before)" if stage.before else ""
     points = f", {count_text(stage.points)} points" if stage.points else ""
-    todo = stage.tasks - stage.tasks_done
+    todo = stage.tasks - stage.before
     return f"{todo} task{'' if todo == 1 else 's'}{points}{before}"
-
-
-def _stage_of(fields: dict[str, Any], now: float) -> _Stage:
-    return _Stage(fields["stage"], fields["tasks"], fields.get("points", 0), fields.get("done", 0), now)
-
-
-def _count(stage: _Stage, fields: dict[str, Any]) -> None:
-    stage.tasks_done += 1
-    stage.points_done += fields.get("points", 0)
 
 
 @contextmanager
@@ -147,47 +117,56 @@ def plain_progress(stream: IO[str], clock: Callable[[], float] = time.monotonic)
 
 @contextmanager
 def bar_progress(stream: IO[str]) -> Iterator[Listener]:
-    """A listener that draws a bar per stage with points, rate and the time that is left (rich)."""
+    """A listener that draws two bars: the whole job, with the time that is left, and the stage at work (rich)."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
+    from rich.progress import Task as Bar
+    from rich.text import Text
 
-    console = Console(file=stream)
-    columns = (
-        TextColumn("{task.description:<10}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[rate]}"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    stages: dict[str, tuple[_Stage, TaskID]] = {}
+    job = WholeJob()
 
-    with Progress(*columns, console=console) as bars:
+    class Facts(ProgressColumn):
+        """The rate of the stage; for the job (or a stage that is all of it) the time spent, and the time left."""
+
+        def render(self, task: Bar) -> Text:
+            parts = [str(task.fields["rate"])]
+            if task.fields["clock"] and task.elapsed is not None:
+                left = None if task.finished else job.seconds_left()
+                parts += [f"{duration_text(task.elapsed)} so far"]
+                parts += [] if left is None else [f"about {duration_text(left)} left"]
+            return Text(", ".join(p for p in parts if p))
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(bar_width=30),
+               TextColumn("{task.percentage:>3.0f} %"), Facts())  # fmt: skip
+    with Progress(*columns, console=Console(file=stream)) as bars:
+        whole = bars.add_task("whole job", total=1.0, visible=False, rate="", clock=True)
+        part = bars.add_task("", total=1.0, visible=False, rate="", clock=False)
 
         def listen(event: str, fields: dict[str, Any]) -> None:
-            if event in ("note", "warning"):
-                bars.console.print(shown(message_text(event, fields)), markup=False, highlight=False)
-            elif event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
-                bars.console.print(shown(failure_text(fields)), markup=False, highlight=False)
-            elif event == "stage_started":
-                stage = _stage_of(fields, time.monotonic())
-                bar = bars.add_task(stage.name, total=1.0, rate="")
-                bars.update(bar, completed=stage.fraction)
-                stages[stage.name] = (stage, bar)
-            elif event == "task_done" and fields["stage"] in stages:
-                stage, bar = stages[fields["stage"]]
-                _count(stage, fields)
+            before = job.stage
+            job(event, fields)
+            stage, text = job.stage, trouble_text(event, fields)
+            if text is not None:
+                bars.console.print(shown(text), markup=False, highlight=False)
+            elif event == "stage_started" and stage is not None:
+                bars.reset(part, description=shown(stage.title), visible=True, clock=not job.known, rate="")
+                bars.update(part, completed=stage.fraction)
+            elif event == "task_done" and stage is not None:
                 rate = rate_text(stage.points_done, time.monotonic() - stage.started)
-                bars.update(bar, completed=stage.fraction, rate=rate)
-            elif event == "stage_finished" and fields["stage"] in stages:
-                bars.update(stages[fields["stage"]][1], completed=1.0)
+                bars.update(part, completed=stage.fraction, rate=rate)
+            elif event == "stage_finished" and before is not None:
+                bars.update(part, completed=1.0)
+            elif event == "run_finished":
+                bars.update(part, visible=False)
+                bars.update(whole, completed=1.0)
+            if job.known and event != "run_finished":
+                bars.update(whole, completed=job.fraction(), visible=True)
 
         yield listen
 
 
 @contextmanager
-def open_progress(stream: IO[str], quiet: bool = False) -> Iterator[Listener]:
+def open_progress(stream: IO[str], quiet: bool = False, form: str = "auto") -> Iterator[Listener]:
     """The listener that fits a stream: bars on a terminal, lines elsewhere, only trouble when quiet.
 
     Parameters
@@ -196,11 +175,16 @@ def open_progress(stream: IO[str], quiet: bool = False) -> Iterator[Listener]:
         Where to write; stderr, as results go to stdout.
     quiet : bool
         Only warnings and failures.
+    form : {"auto", "plain", "json", "none"}
+        Whatever the stream is: lines for people, a JSON object a line (`tiler.observe.json_lines`), or, as when
+        quiet, no progress.
     """
-    if quiet:
+    if form == "json":
+        yield _only(JsonLines(stream), *TROUBLE) if quiet else JsonLines(stream)
+    elif quiet or form == "none":
         with plain_progress(stream) as listener:
-            yield _only(listener, "warning", "task_failed")
-    elif stream.isatty():
+            yield _only(listener, *TROUBLE, *(() if quiet else ("note",)))
+    elif form == "auto" and stream.isatty():
         with bar_progress(stream) as listener:
             yield listener
     else:

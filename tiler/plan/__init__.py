@@ -9,7 +9,7 @@ from tiler.plan.disk import too_much_between
 from tiler.plan.make import make_plan, output_names
 from tiler.plan.memory import PlannedPass
 from tiler.plan.model import KEEP, PIECE_POINTS, Plan
-from tiler.plan.rates import remember
+from tiler.plan.rates import remember, stage_seconds
 from tiler.plan.refuse import refuse
 from tiler.plan.sizes import bounds_of
 from tiler.plan.words import crs_name, plan_json, plan_lines
@@ -27,5 +27,6 @@ __all__ = [
     "plan_lines",
     "refuse",
     "remember",
+    "stage_seconds",
     "too_much_between",
 ]

@@ -261,6 +261,7 @@ def _planned_passes(
     return tuple(
         PlannedPass(
             s.name,
+            s.title or s.name,
             halo(s),
             s.reach_m is not None,
             s.every_point,

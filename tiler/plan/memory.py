@@ -41,6 +41,8 @@ class PlannedPass:
     Attributes
     ----------
     name : str
+    title : str
+        What it does, in a few words (`ptd.passes.Pass.title`).
     halo_m : float
     fixed : bool
         The halo is the pass's proven reach and never widened (`ptd.passes.Pass.reach_m`).
@@ -59,6 +61,7 @@ class PlannedPass:
     """
 
     name: str
+    title: str
     halo_m: float
     fixed: bool
     every_point: bool

@@ -14,6 +14,7 @@ from tiler.core.area import Area, Runs
 from tiler.core.breaklines import Counts
 from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds
+from tiler.core.stage_names import stage_title
 from tiler.grid import SMALLEST_PART
 from tiler.ingest import SourceInfo, claimed_bounds
 from tiler.plan.crowd import Crowd
@@ -137,6 +138,10 @@ class Plan:
     def steps(self) -> tuple[PlannedPass, ...]:
         """The passes that the run may do."""
         return steps_of(self.passes, self.kind)
+
+    def title_of(self, stage: str) -> str:
+        """A stage of the run in words."""
+        return stage_title(stage, [step.title for step in self.passes])
 
     @property
     def likely(self) -> tuple[PlannedPass, ...]:

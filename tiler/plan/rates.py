@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,15 @@ from tiler.io.json_text import read_object
 from tiler.plan.model import Plan
 from tiler.version import __version__
 
-TYPICAL = {"spool": 0.9, "assemble": 0.7, "filter": 1.0, "grid": 0.7, "export": 0.7}
+TYPICAL = {
+    "spool": 1.3,
+    "assemble": 0.7,
+    "filter": 0.4,
+    "grid-dtm": 0.9,
+    "grid-dsm": 0.5,
+    "grid": 0.1,
+    "export": 1.2,
+}
 """Worker seconds a million points where nothing is known of a stage; measured on a city, other machines differ."""
 
 FEWEST_POINTS = 1_000_000
@@ -53,14 +61,42 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
 def projected_seconds(plan: Plan) -> tuple[float, bool]:
     """Seconds of the whole job, and whether all of it rests on earlier runs of this machine."""
     products = dict.fromkeys(("dtm", *plan.config.exported))
+    stages, known = stage_seconds(plan, [f"grid-{name}" for name in products]), _read()
+    return sum(stages.values()), all(_name(plan, stage) in known for stage in stages)
+
+
+def stage_seconds(plan: Plan, rasters: Iterable[str], until: str = "export") -> dict[str, float]:
+    """Seconds of each stage of a job that may take its time, in their order.
+
+    Parameters
+    ----------
+    plan : Plan
+    rasters : iterable of str
+        Stages of the rasters that are made.
+    until : str
+        Last part of the job: ``ingest``, ``filter``, ``grid`` or ``export``.
+    """
     known = _read()
     filters = {f"filter{number}": step for number, step in enumerate(plan.passes) if step in plan.steps}
     # Of passes that do not always apply those count that earlier runs did, if they did any.
     did = [stage for stage, step in filters.items() if step.sometimes and _name(plan, stage) in known]
     filters = {s: step for s, step in filters.items() if s in did or not (did and step.sometimes)}
-    stages = ["spool", "assemble", *filters, *(f"grid-{name}" for name in products), "export"]
-    rates = [known.get(_name(plan, s), TYPICAL[re.split(r"[-\d]", s)[0]]) for s in stages]
-    return sum(rates) * plan.points / 1e6 / plan.workers, all(_name(plan, s) in known for s in stages)
+    if plan.kinds:  # the points will show which passes apply: those that take longest
+        costs = {
+            k: sum(_rate(plan, known, s) for s, step in filters.items() if step.kind == k) for k in plan.kinds
+        }
+        dearest = max(costs, key=lambda kind: costs[kind])
+        filters = {s: step for s, step in filters.items() if step.kind in (None, dearest)}
+    parts = {"ingest": ["spool", "assemble"], "filter": filters, "grid": rasters, "export": ["export"]}
+    names = list(parts)
+    stages = [stage for name in names[: names.index(until) + 1] for stage in parts[name]]
+    return {stage: _rate(plan, known, stage) * plan.points / 1e6 / plan.workers for stage in stages}
+
+
+def _rate(plan: Plan, known: Mapping[str, float], stage: str) -> float:
+    """Worker seconds a million points."""
+    typical = TYPICAL.get(stage, TYPICAL[re.split(r"[-\d]", stage)[0]])
+    return known.get(_name(plan, stage), typical)
 
 
 def _name(plan: Plan, stage: str) -> str:

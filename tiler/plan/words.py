@@ -106,9 +106,9 @@ def _passes_in_words(plan: Plan) -> str:
     steps = plan.steps
     if len(steps) < 2:
         return ", 1 pass" if steps else ""
-    text = f", {len(steps)} passes, halo: " + ", ".join(f"{step.name} {step.halo_m:g} m" for step in steps)
     some = any(step.sometimes and (step.kind is None or plan.kinds) for step in steps)
-    return text + ("; not all of them apply to every cloud" if some else "")
+    text = f", {len(steps)} passes" + (", not all of which apply to every cloud" if some else "")
+    return text + ": " + ", ".join(f"{step.title} (halo {step.halo_m:g} m)" for step in steps)
 
 
 def crs_name(wkt: str | None) -> str:

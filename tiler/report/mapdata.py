@@ -12,6 +12,7 @@ from tiler.redaction import shown
 from tiler.report.accuracy import checkpoints_on_map
 from tiler.report.drawn import shapes
 from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
+from tiler.report.runfile import title_of
 
 MOST_TILES = 20_000
 """On the map, of all stages together: a page of 5 MB holds no more. Stages that do not fit are left out whole."""
@@ -94,19 +95,6 @@ def _extent(run: Mapping[str, Any]) -> Extent:
     return west, south, east, north
 
 
-def stage_title(stage: str, passes: int = 1) -> str:
-    """A stage as people read it."""
-    if stage.startswith("filter"):
-        return "ground filter" if passes == 1 else f"ground filter, pass {int(stage[6:]) + 1}"
-    named = {
-        "spool": "reading",
-        "assemble": "sorting into the store",
-        "export": "writing files",
-        "mosaic": "writing VRTs",
-    }
-    return f"raster {stage[5:]}" if stage.startswith("grid-") else named.get(stage, stage)
-
-
 def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Stages of tiles, the filter's last pass first, since it made the labels."""
     found, room = [], MOST_TILES
@@ -131,7 +119,7 @@ def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
         ]
         if rows and len(rows) <= room:
             room -= len(rows)
-            found.append({"name": stage, "title": stage_title(stage, passes), "tiles": rows})
+            found.append({"name": stage, "title": title_of(run, stage), "tiles": rows})
     return found
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from tiler.core.stage_names import stage_title
 from tiler.errors import ConfigError, refused_write
 from tiler.io.json_text import read_object
 from tiler.io.locations import partial_path
@@ -54,3 +56,8 @@ def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> di
             "use the same --method and --set"
         )
     return statistics
+
+
+def title_of(run: Mapping[str, Any], stage: str) -> str:
+    """A stage of a run in words; a run of before 0.1 does not say what its passes do."""
+    return str(run.get("stages", {}).get(stage, {}).get("title") or stage_title(stage))

@@ -9,6 +9,7 @@ from tiler.core.products import HOLE, MASK_VALUES, OUTSIDE
 from tiler.observe.progress import count_text, duration_text, size_text
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.pictures import Pictures
+from tiler.report.runfile import title_of
 
 MOST_ROWS = 1000
 """Rows of a table at most; the rest is in run.json."""
@@ -111,7 +112,10 @@ def problems(run: Run) -> Node:
         content += [el("h3", f"Files left out: {len(quarantined):,}"), table(("file", "why"), left)]
     failed = run.get("failed_tasks", ())
     if failed:
-        rows = [(f["stage"], f["key"], _place(f.get("bounds")), f["error"]) for f in failed[:MOST_ROWS]]
+        rows = [
+            (title_of(run, f["stage"]), f["key"], _place(f.get("bounds")), f["error"])
+            for f in failed[:MOST_ROWS]
+        ]
         columns = ("stage", "tile or task", "west, south, east, north", "why")
         content += [el("h3", f"Tasks that failed: {len(failed):,}"), table(columns, rows)]
     if run.get("healed"):

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from tiler.observe.progress import duration_text, rate_text, size_text
 from tiler.report.document import Content, Node, el, facts, section, table
-from tiler.report.mapdata import stage_title
+from tiler.report.runfile import title_of
 from tiler.report.sections import MOST_ROWS, Run, counted, done_before, value_text
 
 SLOWEST = 10
@@ -91,11 +91,10 @@ def outputs(run: Run) -> Node:
 def timings(run: Run) -> Node:
     """Time and memory by stage, and the slowest tiles."""
     stages = run.get("stages", {})
-    passes = sum(name.startswith("filter") for name in stages)
     longest = max((s["seconds"] for s in stages.values()), default=0) or 1
     rows = [
         (
-            stage_title(name, passes),
+            title_of(run, name),
             f"{s['tasks']:,}",
             f"{s['computed']:,}",
             duration_text(s["seconds"]),
@@ -127,7 +126,7 @@ def timings(run: Run) -> Node:
         el("p", earlier, class_="quiet") if before else None,
         table(columns, rows, (1, 2, 3, 5, 6)),
         memory,
-        *_slowest(run, passes),
+        *_slowest(run),
     )
 
 
@@ -142,7 +141,7 @@ def _bar(share: float) -> Node:
     return el("svg", bar, width=100, height=10, viewBox="0 0 100 10", aria_hidden="true")
 
 
-def _slowest(run: Run, passes: int) -> list[Content]:
+def _slowest(run: Run) -> list[Content]:
     timed = [
         (tile["seconds"], stage, tile)
         for stage, tiles in run.get("tiles", {}).items()
@@ -154,7 +153,7 @@ def _slowest(run: Run, passes: int) -> list[Content]:
         return []
     rows = [
         (
-            stage_title(stage, passes),
+            title_of(run, stage),
             t["key"],
             f"{t['points']:,}",
             duration_text(seconds),

@@ -67,11 +67,12 @@ class RunRecord:
     computed : int
         Tasks that this run did.
     stages : dict
-        Name -> ``tasks``, ``done`` before, ``points``, ``computed``, ``seconds``, ``peak_rss_bytes``.
+        Key -> ``title`` in words, ``tasks``, ``done`` before, ``points``, ``computed``, ``seconds``,
+        ``peak_rss_bytes``.
     quarantined : list
         ``path`` and ``error`` of each input that is left out.
     failed : list
-        ``stage``, ``key``, ``error``, ``kind`` and ``bounds`` of each task that was given up.
+        ``stage``, its ``title`` in words, ``key``, ``error``, ``kind`` and ``bounds`` of each task that was given up.
     notes : list of str
         What was decided for people.
     tiles : dict

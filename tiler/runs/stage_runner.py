@@ -48,16 +48,17 @@ def run_stage(
     todo = [task for key, task in wanted.items() if key not in done]
     info = {
         "stage": stage,
+        "title": job.plan.title_of(stage),
         "tasks": len(wanted),
         "done": len(done),
         "points": sum(t.points for t in todo),
     }
-    job.listener("stage_started", info)
     if stage.startswith(record.PLACED) and len(wanted) <= record.LISTED_TILES:
         job.record.list_tiles(stage, ((task, _place(job, task)) for task in wanted.values()), done)
-    start, peak_rss, damaged = time.monotonic(), 0, set[str]()
     if todo and warm is not None and job.plan.config.scheduler is None:
         warm(lambda: job.listener("note", {"text": "compiling kernels (once on this machine)"}))
+    job.listener("stage_started", info)  # once its kernels are there: its time is that of the work
+    start, peak_rss, damaged = time.monotonic(), 0, set[str]()
     for outcome in job.crew.executor(writes_out).run(perform, job.store.url, todo) if todo else ():
         job.record.tell_tile(outcome)
         _finished(job, outcome)
@@ -95,6 +96,7 @@ def _finished(job: Job, outcome: Outcome) -> None:
         return
     failure: dict[str, Any] = {
         "stage": task.stage,
+        "title": job.plan.title_of(task.stage),
         "key": task.key,
         "error": outcome.error or "",
         "kind": outcome.error_kind or "",

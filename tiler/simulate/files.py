@@ -163,7 +163,8 @@ def _write_cloud(path: Path, compressed: bool, spec: SceneSpec, listener: Listen
     todo = patches(sensor, spec.side_m)
     counts = np.zeros(256, np.int64)
     started = time.monotonic()
-    listener("stage_started", {"stage": "simulate", "tasks": len(todo), "points": 0, "done": 0})
+    stage = {"stage": "simulate", "title": "simulate the cloud"}
+    listener("stage_started", {**stage, "tasks": len(todo), "points": 0, "done": 0})
     with CloudWriter(path, colour=sensor.coloured, compressed=compressed) as cloud:
         for index in todo:
             points = survey_patch(site, sensor, *index)

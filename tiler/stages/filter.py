@@ -49,6 +49,8 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
         if (step.elects or step.gives_labels) and not writes:
             writes = True
             _clear_passed_over(job, passes, state)
+            passed_over = [f"filter{n}" for n, other in enumerate(passes) if not other.applies(state)]
+            job.listener("stages_passed_over", {"stages": passed_over})
         tasks = list(filter_tasks(job.plan, assembled, number, state, before))
         filtered = run_stage(job, f"filter{number}", tasks, warm)
         if not filtered:

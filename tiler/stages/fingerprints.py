@@ -98,7 +98,14 @@ def contents(
     if not tasks:
         return
     points, start = sum(task.points for task in tasks), time.monotonic()
-    job.listener("stage_started", {"stage": stage, "tasks": len(tasks), "done": 0, "points": points})
+    info = {
+        "stage": stage,
+        "title": job.plan.title_of(stage),
+        "tasks": len(tasks),
+        "done": 0,
+        "points": points,
+    }
+    job.listener("stage_started", info)
     for outcome in job.crew.executor(writes_out).run(compute, job.store.url, tasks):
         if outcome.again:
             continue

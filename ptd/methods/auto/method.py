@@ -136,6 +136,7 @@ class SeedPass(LaserPass):
 
     params: Auto
     name: str = "seeds"
+    title = "find the first ground"
     reach_m: float | None = None
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
@@ -162,6 +163,7 @@ class DensifyPass(LaserPass):
 
     params: Auto
     name: str = "densify"
+    title = "densify the ground"
     columns: tuple[str, ...] = ("labels",)
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
@@ -187,6 +189,7 @@ class RefinePass(LaserPass):
 
     params: Auto
     name: str = "refine"
+    title = "take out low objects"
     columns: tuple[str, ...] = ("labels",)
     reach_m: float | None = None
 
@@ -224,6 +227,11 @@ class RoofPass(LaserPass):
     again: bool = False
     step_m: float = ROOF_STEPS_M[0]
 
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """With the step that a roof has at its edge."""
+        return f"take out roofs with edges of {self.step_m:g} m" + (", again" if self.again else "")
+
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Look around each connected surface."""
         p = self.params
@@ -248,6 +256,7 @@ class LabelPass(LaserPass):
 
     params: Auto
     name: str = "label"
+    title = "label all points"
     columns: tuple[str, ...] = ("labels",)
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Labels:

@@ -109,6 +109,7 @@ class ElevationsPass(Pass):
     gap_m: float
     share: float
     name: str = "elevations"
+    title = "measure the range of heights"
     gives_labels: bool = False
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Elevations:

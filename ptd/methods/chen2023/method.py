@@ -233,6 +233,7 @@ class ChenPass(Pass):
 
     params: Chen2023
     name: str = "chen2023"
+    title = "find the ground, label all points"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> ChenModel:
         """Find the seeds and densify the window's TIN."""

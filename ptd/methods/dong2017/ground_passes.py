@@ -37,6 +37,7 @@ class FirstMeasurement(Pass):
     widest_m: float
     reach_m: float | None
     name: str = "measure-first"
+    title = "measure distances to the seeds"
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
     gives_labels: bool = False
@@ -71,6 +72,7 @@ class FirstGround(Pass):
     stage: Stage
     reach_m: float | None
     name: str = "first"
+    title = "find the first ground"
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
 
@@ -90,6 +92,11 @@ class Measurement(Pass):
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
     gives_labels: bool = False
+
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """With the spacing."""
+        return f"measure distances to a TIN of {self.spacing_m:g} m"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         """Count the ground points of the core that are no vertices."""
@@ -119,6 +126,11 @@ class Densification(Pass):
     halo_m: float | None
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
+
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """With the spacing."""
+        return f"densify a TIN of {self.stage.cell_m:g} m"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
         """Build the TINs."""

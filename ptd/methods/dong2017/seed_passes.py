@@ -33,6 +33,7 @@ class Survey(Pass):
     params: Dong2017Parameters
     reach_m: float | None
     name: str = "survey"
+    title = "measure greenness, density and noise"
     columns: tuple[str, ...] = ("rgb",)
     every_point: bool = True
     gives_labels: bool = False
@@ -87,6 +88,7 @@ class SeedPass(Pass):
     params: Dong2017Parameters
     reach_m: float | None
     name: str = "seeds"
+    title = "find seeds beside facades"
     columns: tuple[str, ...] = ("rgb",)
     every_point: bool = True
 

@@ -29,6 +29,7 @@ class NoisePass(Pass):
 
     params: Dong2018Parameters
     name: str = "noise"
+    title = "measure density and noise"
     every_point: bool = True
     gives_labels: bool = False
 
@@ -105,6 +106,7 @@ class StageOnePass(Pass):
 
     params: Dong2018Parameters
     name: str = "stage-one"
+    title = "find the first terrain"
     every_point: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:

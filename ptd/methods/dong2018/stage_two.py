@@ -37,6 +37,11 @@ class MeasurePass(Pass):
         """With the scale."""
         return f"measure-{self.params.scales_m[self.index]:g}"
 
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """With the scale."""
+        return f"measure distances to a TIN of {self.params.scales_m[self.index]:g} m"
+
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         """Histogram of the core's ground points that are not in the even TIN."""
         if not _goes_on(state):
@@ -116,6 +121,11 @@ class JoinPass(Pass):
     def name(self) -> str:  # type: ignore[override]
         """With the scale."""
         return f"join-{self.params.scales_m[self.index]:g}"
+
+    @property
+    def title(self) -> str:  # type: ignore[override]
+        """With the scale."""
+        return f"densify a TIN of {self.params.scales_m[self.index]:g} m"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> JoinModel:
         """Build the even TIN again."""

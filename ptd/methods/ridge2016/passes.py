@@ -36,6 +36,7 @@ class GrowthPass(Pass):
 
     params: Ridge2016Parameters
     name: str = "growth"
+    title = "find when growth ends"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GrowthModel:
         """Densify as long as any run would."""
@@ -143,6 +144,7 @@ class TerrainPass(Pass):
 
     params: Ridge2016Parameters
     name: str = "ridge2016"
+    title = "grow the terrain, label all points"
     columns: tuple[str, ...] = ("labels",)
 
     @property
@@ -197,6 +199,7 @@ class RidgePass(Pass):
 
     params: Ridge2016Parameters
     name: str = "ridge2016"
+    title = "grow the terrain, label all points"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> RidgeModel:
         """Densify by all rounds."""

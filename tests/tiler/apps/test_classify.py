@@ -63,9 +63,9 @@ def test_the_command_ends_with_5(
     monkeypatch.setattr("cli.commands.classify.read_config", lambda _: settings())
     assert main(["classify", str(cloud), str(tmp_path / "out.laz")]) == 5
     told = capsys.readouterr()
-    assert "failed      filter0 t" in told.out
+    assert "failed      filter: seeds, densification, labels t" in told.out
     assert ": this tile fails" in told.out
-    assert "warning: filter0 t" in told.err
+    assert "warning: filter: seeds, densification, labels t" in told.err
 
 
 def test_labels_with_a_hole_are_not_scored(cloud: Path) -> None:

@@ -76,7 +76,7 @@ def test_plain_lines_at_begin_and_end_and_now_and_then() -> None:
         listen("stage_finished", {"stage": "filter", "seconds": 40.0})
     assert stream.getvalue().splitlines() == [
         "filter: 4 tasks, 4.0 M points",
-        "filter: 50%, 100.0 k points/s, 20.0 s left",
+        "filter: 50%, 100.0 k points/s, about 20.0 s left",
         "filter: done in 40.0 s, 50.0 k points/s",
     ]
 

@@ -36,7 +36,8 @@ def source(name: str, **changes: Any) -> dict[str, Any]:
 
 def run(**changes: Any) -> dict[str, Any]:
     """The content of run.json of a finished run."""
-    stage = {"stage": "filter0", "tasks": 4, "done": 0, "computed": 4, "points": 4000, "seconds": 61.0,
+    title = "filter: seeds, densification, labels"
+    stage = {"stage": "filter0", "title": title, "tasks": 4, "done": 0, "computed": 4, "points": 4000, "seconds": 61.0,
              "peak_rss_bytes": 200 << 20}  # fmt: skip
     plan = {
         "points": 4000, "inputs": 2, "area_m2": 2400.0, "density_per_m2": 1.667, "method": "classic",

@@ -35,7 +35,12 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
         "counts": ["read 4,000", "stored 3,800", "dropped: withheld 200", "ground 1,900", "low noise 10"],
         "inputs": ["/data/a.laz", "/data/b.laz", "LAS 1.4, format 6", "4.0 KiB"],
         "outputs": ["dtm.tif 4.0 KiB"],
-        "timings": ["ground filter 4 4 1:01", "200.0 MiB", "t+001+001", "projected for a worker 500.0 MiB"],
+        "timings": [
+            "filter: seeds, densification, labels 4 4 1:01",
+            "200.0 MiB",
+            "t+001+001",
+            "projected for a worker 500.0 MiB",
+        ],
         "settings": ["max_building_size_m 20", "label_pass yes", "numpy 2.3.4", "tiler 0.1.0"],
         "accuracy": ["Nothing was measured yet"],
     }
@@ -111,7 +116,10 @@ def test_what_was_left_out_comes_first(tmp_path: Path) -> None:
     assert next(iter(page.texts)) == ""
     assert list(page.texts)[1] == "problems"
     assert "Files left out: 1 file why cut.laz cut short" in page.texts["problems"]
-    assert "filter0 t+001+001 1.0, 2.0, 3.0, 4.5 no memory" in page.texts["problems"]
+    assert (
+        "filter: seeds, densification, labels t+001+001 1.0, 2.0, 3.0, 4.5 no memory"
+        in page.texts["problems"]
+    )
 
 
 def test_a_thousand_tiles_and_large_rasters_stay_below_five_megabytes(tmp_path: Path) -> None:

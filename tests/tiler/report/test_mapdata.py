@@ -9,7 +9,7 @@ import pytest
 
 from tests.tiler.report import results
 from tiler.report import mapdata
-from tiler.report.mapdata import map_data, stage_title, with_earlier_times
+from tiler.report.mapdata import map_data, with_earlier_times
 
 
 def test_times_of_earlier_runs_are_the_last_that_were_told(tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_tiles_tell_their_state_and_why_they_failed() -> None:
         tiles={"filter0": [*tiles, results.tile(2, 2, 30.0, bounds=None)]}, failed_tasks=failed
     )
     (stage,) = map_data(content, None, {})["stages"]
-    assert stage["title"] == "ground filter"
+    assert stage["title"] == "filter: seeds, densification, labels"
     assert stage["tiles"] == [
         ["t+000+000", 500000, 5399970, 500030, 5400000, "failed", 1000, None, 1, 0, "no memory"],
         ["t+001+000", 500030, 5399970, 500060, 5400000, "done", 1001, 1.01, 2, 3, ""],
@@ -78,7 +78,8 @@ def test_the_pass_that_labels_comes_first_and_what_does_not_fit_is_left_out(
     stages = ("filter0", "filter1", "grid-density", "grid-dtm")
     content = results.run(tiles={s: [results.tile(i, 2, 30.0) for i in range(4)] for s in stages})
     titles = [stage["title"] for stage in map_data(content, None, {})["stages"]]
-    assert titles == ["ground filter, pass 2", "ground filter, pass 1", "raster dtm", "raster density"]
+    first = "filter: seeds, densification, labels"
+    assert titles == ["filter, pass 2", first, "grid: terrain", "grid: density"]
     monkeypatch.setattr(mapdata, "MOST_TILES", 11)
     assert [s["name"] for s in map_data(content, None, {})["stages"]] == ["filter1", "filter0"]
 
@@ -90,11 +91,3 @@ def test_files_and_checkpoints_are_on_the_map() -> None:
     assert found["files"][0] == ["a.laz", 500000.0, 5399960.0, 500060.0, 5400000.0]
     assert found["checkpoints"] == [["P1", 1.0, 2.0, -0.1, False]]
     assert (found["checkpoint_unit"], found["checkpoint_range"]) == ("metre", 0.2)
-
-
-def test_titles() -> None:
-    assert [stage_title(s) for s in ("spool", "grid-mask", "export")] == [
-        "reading",
-        "raster mask",
-        "writing files",
-    ]
