@@ -136,6 +136,7 @@ def test_buckets_that_fail_leave_a_hole_that_is_told(
     assert output_digests(out) == output_digests(tmp_path / "peace")
 
 
+@pytest.mark.slow  # the same way to fail as above
 def test_a_deadly_tile_stops_a_strict_run(
     cloud: Path, tmp_path: Path, deadly_cells: list[list[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

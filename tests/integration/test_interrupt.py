@@ -40,7 +40,7 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Large enough that there is time to hit it, once the kernels are compiled."""
     warm_filters("classic", lambda: None)
     warm_gridding("linear", lambda: None)
-    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(256.0, 2.0))
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(192.0, 1.5))
 
 
 @pytest.fixture(scope="module")

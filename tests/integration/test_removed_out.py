@@ -44,7 +44,7 @@ def remove_at(name: str, place: Path, early: bool, monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.parametrize("early", [True, False])
 @pytest.mark.parametrize("name", WORKS)
-@pytest.mark.parametrize("what", ["", "store.zarr"])
+@pytest.mark.parametrize("what", [pytest.param("", marks=pytest.mark.slow), "store.zarr"])
 def test_what_was_removed_is_named(
     what: str, name: str, early: bool, cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

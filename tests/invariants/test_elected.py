@@ -180,7 +180,10 @@ class Killed(Exception):
     pass
 
 
-@pytest.mark.parametrize("at", [MedianPass, RisingPass, SpreadPass, MeanPass])
+@pytest.mark.parametrize(
+    "at",
+    [MedianPass, *(pytest.param(at, marks=pytest.mark.slow) for at in (RisingPass, SpreadPass, MeanPass))],
+)
 def test_a_run_that_ended_on_the_way_goes_on(
     at: type[Pass], scene: Any, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -259,7 +262,8 @@ def test_a_tile_that_fails_elects_nothing(
 @pytest.mark.parametrize(
     ("what", "damage"),
     [
-        *(("elected/elected-3", d) for d in DAMAGES),
+        ("elected/elected-3", "bomb"),
+        *(pytest.param("elected/elected-3", d, marks=pytest.mark.slow) for d in ("gone", "flipped")),
         ("labels/labels-4", "gone"),
         ("labels/labels-5", "flipped"),
     ],

@@ -139,7 +139,7 @@ def test_an_eventful_history(
 @pytest.mark.parametrize(
     ("other", "step"),
     [
-        ("other pixels", 4),
+        ("other pixels", 11),
         pytest.param("as many other pixels", 2, marks=pytest.mark.slow),
         pytest.param("fewer files", 23, marks=pytest.mark.slow),
         pytest.param("other tiles", 13, marks=pytest.mark.slow),

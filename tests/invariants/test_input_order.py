@@ -31,7 +31,7 @@ def test_one_file_or_four(city_file: Path, finished: Path, tmp_path: Path) -> No
     assert_same_terrain(tmp_path / "out", finished)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_shuffled_points_in_files_without_sense(
     city: Cloud, finished: Path, tmp_path: Path, seed: int
 ) -> None:

@@ -27,7 +27,7 @@ def run(
     return state == VERTEX, tin, done
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     rough=st.sampled_from([50, 800, 4000]),
