@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from tiler.config import RunConfig
-from tiler.core.area import Area, shortened
+from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.units import FARTHEST
-from tiler.errors import ConfigError, InputError
+from tiler.errors import ConfigError
 from tiler.ingest import SourceInfo, bounds_in_counts
-from tiler.io.vector import POLYGONS, Feature, read_in_crs
+from tiler.io.vector.areas import read_area
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
 from tiler.schedule import read_apart
@@ -53,32 +49,6 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
     else:
         area, decided = read_apart(read_area, path, wkt, paths=(path,))
     notes += decided
-    return area
-
-
-def read_area(path: Path, wkt: str | None) -> tuple[Area, list[str]]:
-    """The polygons of a file in absolute counts of a CRS, and what was decided about them; raises InputError."""
-    found = read_in_crs(path, POLYGONS, wkt)
-    return area_in_counts(str(path), found.features), list(found.notes)
-
-
-def area_in_counts(place: str, features: Sequence[Feature]) -> Area:
-    """The polygons of features in absolute counts; raises InputError, which names the place, where they hold none."""
-    import shapely
-
-    rings = [
-        [shapely.get_coordinates(ring) for ring in (polygon.exterior, *polygon.interiors)]
-        for feature in features
-        for polygon in shapely.get_parts(feature.geometry)
-    ]
-    if any(np.abs(ring).max() >= FARTHEST for rs in rings for ring in rs):
-        raise InputError(f"{place}: has a place farther away than {FARTHEST:g}; write coordinates of its CRS")
-    counts = tuple(
-        tuple(shortened(np.rint(r[:-1] * COUNTS_PER_UNIT).astype(np.int64)) for r in rs) for rs in rings
-    )
-    area = Area(counts)
-    if area.bounds.empty:
-        raise InputError(f"{place}: its polygons hold no place; draw them wider")
     return area
 
 

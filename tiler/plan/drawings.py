@@ -14,7 +14,7 @@ from tiler.core.edits import ACTIONS, FLAT, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.errors import ConfigError, InputError
 from tiler.io.vector import LINES_AND_POLYGONS, POLYGONS, Feature, Features, Kind, read_in_crs, tell_outside
-from tiler.plan.area import area_in_counts
+from tiler.io.vector.areas import area_in_counts
 from tiler.plan.model import Plan
 from tiler.schedule import read_apart
 
