@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any
 
-from tiler.core.units import FARTHEST, parse_length
+from tiler.core.units import FARTHEST, parse_area, parse_length
 from tiler.errors import ConfigError
 
 _BYTES = {"": 1, "b": 1, "k": 1000, "kb": 1000, "kib": 1024, "m": 10**6, "mb": 10**6, "mib": 1 << 20,
@@ -151,6 +151,9 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
         return None
     if kind == "length":
         return _positive_length(spec.name, value)
+    if kind == "area":
+        with _named(spec.name):
+            return parse_area(value)
     if kind == "bytes":
         with _named(spec.name):
             return parse_bytes(value)

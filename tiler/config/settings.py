@@ -18,6 +18,9 @@ from tiler.config.presets import load_preset, preset_names
 from tiler.core.products import DRAWN, NODATA, PRODUCTS
 from tiler.errors import ConfigError
 
+NO_WATER, AUTO_WATER = "none", "auto"
+"""Values of `RunConfig.water` that are no files."""
+
 
 def setting(
     default: Any, help: str, *, unit: str = "", kind: str = "text", choices: tuple[str, ...] = ()
@@ -82,6 +85,27 @@ class RunConfig:
         "(points inside that the input calls so are, or else the lowest of each pixel), void (no height), flat (the "
         "height in the column z); default: none", kind="file",
     )  # fmt: skip
+    water: str = setting(
+        "none", "bodies of water, level in the terrain (lakes) or falling along their flow (rivers): none, auto (found "
+        "in the data), or a file, in any CRS, of polygons and, where wanted, columns kind (lake, river) and level, and "
+        "of lines along which rivers flow", kind="file",
+    )  # fmt: skip
+    water_min_lake: Fraction = setting(
+        Fraction(8000), "`--water auto` takes lakes and ponds from this area on (8000, 0.8ha, 2acre)", unit="m2",
+        kind="area",
+    )  # fmt: skip
+    water_min_river_width: Fraction = setting(
+        Fraction(15),
+        "`--water auto` takes rivers and canals from this mean width on",
+        unit="m",
+        kind="length",
+    )
+    water_min_island: Fraction = setting(
+        Fraction(4000),
+        "`--water auto` leaves out islands below this area, which become water",
+        unit="m2",
+        kind="area",
+    )
     contour_interval: Fraction | None = setting(
         None, "difference of height between contours; default: a round number of the CRS's unit that gives 50 levels "
         "at most", unit="m", kind="length",
@@ -166,6 +190,11 @@ class RunConfig:
     def erosion(self) -> Fraction:
         """The setting `erode`, 0 where none is given."""
         return Fraction(0) if self.erode is None else self.erode
+
+    @property
+    def water_file(self) -> str | None:
+        """The file that `water` names; None where it names none."""
+        return None if self.water in (NO_WATER, AUTO_WATER) else self.water
 
     @property
     def source_kind(self) -> str | None:

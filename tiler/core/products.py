@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 NODATA = -9999.0
 """Nodata value of every float32 raster that has pixels without a value."""
 
-OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE = range(5)
+OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE, WATER = range(6)
 """Values of the mask."""
 
 MASK_VALUES = {
@@ -17,6 +17,7 @@ MASK_VALUES = {
     INTERPOLATED: "interpolated within the limit",
     FILLED: "filled beyond the limit",
     HOLE: "hole: no height inside the survey, or a tile that failed",
+    WATER: "water: level, or falling along its flow",
 }
 
 CONTOURS, SPOTS = "contours", "spots"
@@ -77,7 +78,7 @@ PRODUCTS: dict[str, Product] = {
     "mask": Product(
         "where the terrain height comes from", "", "uint8", OUTSIDE, "NEAREST", "NO",
         {OUTSIDE: (255, 255, 255), MEASURED: (90, 150, 90), INTERPOLATED: (190, 210, 150), FILLED: (230, 150, 60),
-         HOLE: (150, 30, 50)}, MASK_VALUES,
+         HOLE: (150, 30, 50), WATER: (70, 130, 200)}, MASK_VALUES,
     ),
 }  # fmt: skip
 """In the order in which they are made."""

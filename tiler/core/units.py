@@ -22,6 +22,10 @@ _NAMES = {
     "usft": US_SURVEY_FOOT, "us-ft": US_SURVEY_FOOT, "ftus": US_SURVEY_FOOT, "us_survey_foot": US_SURVEY_FOOT,
     "us survey foot": US_SURVEY_FOOT,
 }  # fmt: skip
+_AREAS = {
+    "": METRE, "m2": METRE, "ha": Fraction(10_000), "km2": Fraction(10**6), "ft2": FOOT**2, "acre": 43560 * FOOT**2,
+    "acres": 43560 * FOOT**2,
+}  # fmt: skip
 _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+(?:/[0-9]+)?)\s*([a-zA-Z_-]*)\s*$")
 
 
@@ -61,6 +65,18 @@ def parse_length(text: str | float | Fraction) -> Fraction:
     number, unit = match.groups()
     value = Fraction(number) if "/" not in number else Fraction(*map(Fraction, number.split("/")))
     return value * (unit_named(unit) if unit else METRE)
+
+
+def parse_area(text: str | float | Fraction) -> Fraction:
+    """An area in square metres, exact: ``8000``, ``0.8ha``, ``2 acres``; raises ConfigError."""
+    if isinstance(text, Fraction):
+        return text
+    match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-z0-9]*)\s*", str(text).lower())
+    if match is None or match[2] not in _AREAS:
+        raise ConfigError(
+            f"{text!r} is no area: write square metres, or a number with m2, ha, km2, ft2 or acre"
+        )
+    return Fraction(match[1]) * _AREAS[match[2]]
 
 
 @dataclass(frozen=True)

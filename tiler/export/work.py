@@ -58,6 +58,25 @@ class WriteOutline:
     area: str | None = None
 
 
+@dataclass(frozen=True)
+class WriteWater:
+    """Bodies of water as polygons, and the lines along which rivers flow.
+
+    Attributes
+    ----------
+    name : str
+        Of the file.
+    waters : str
+        Key in the store.
+    out : str
+        Folder that exists, or a URL.
+    """
+
+    name: str
+    waters: str
+    out: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class WriteCog(ProductFile):
     """A raster of the store, or a sheet of it, as one file.

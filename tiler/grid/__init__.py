@@ -12,12 +12,14 @@ from tiler.grid.outline import outline_block
 from tiler.grid.surface import DEEP_M, reach_pixels, surface_block
 from tiler.grid.survey import blocks_of, occupancy_block, survey_raster
 from tiler.grid.voids import fill_block, find_voids
+from tiler.grid.water_level import level_water
 from tiler.grid.work import (
     BlankBlocks,
     DeriveBlock,
     DistanceBlock,
     FillBlock,
     GridBlock,
+    LevelWater,
     MakeSurvey,
     MaskBlock,
     OutlineBlock,
@@ -37,6 +39,7 @@ __all__ = [
     "FillBlock",
     "GridBlock",
     "GroundRule",
+    "LevelWater",
     "MakeSurvey",
     "MaskBlock",
     "OutlineBlock",
@@ -54,6 +57,7 @@ __all__ = [
     "find_voids",
     "full_halo",
     "grid_block",
+    "level_water",
     "mask_block",
     "occupancy_block",
     "outline_block",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tiler.core.lattice import Bounds
-from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE, SURVEYED
+from tiler.core.products import FILLED, HOLE, INTERPOLATED, MASK_VALUES, MEASURED, OUTSIDE, SURVEYED, WATER
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts
@@ -22,8 +22,8 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     """Write one block of the mask; a `tiler.schedule.task.Work`.
 
     A pixel with a height is measured if a ground point lies in it, else interpolated; one without is a hole inside
-    of the survey (see `tiler.grid.survey`), else outside. A hole that was filled is called so. Where a tile failed
-    there is a hole, whatever heights its surroundings lend it.
+    of the survey (see `tiler.grid.survey`), else outside. A hole that was filled is called so, and so is water.
+    Where a tile failed there is a hole, whatever heights its surroundings lend it.
 
     Parameters
     ----------
@@ -45,6 +45,9 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     mask = np.select(
         [heights & measured, heights, filled, inside], [MEASURED, INTERPOLATED, FILLED, HOLE], OUTSIDE
     ).astype(np.float32)
+    waters = store.waters(work.waters, spec.block_bounds(block))
+    if waters is not None:
+        mask[waters.inside(spec, block) & filled] = WATER
     for hole in work.holes:
         mask[_within(hole, spec, block)] = HOLE
     mask[~spec.inside(block, store.area(work.area))] = OUTSIDE
@@ -52,7 +55,7 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     return {
         "pixels": mask.size,
         "filled": int(filled.sum()),
-        "values": np.bincount(mask.ravel().astype(np.int64), minlength=5).tolist(),
+        "values": np.bincount(mask.ravel().astype(np.int64), minlength=len(MASK_VALUES)).tolist(),
         "checksum": checksum(mask),
     }
 

@@ -1,4 +1,4 @@
-"""Heights of a model as far as the survey reaches."""
+"""Heights of a model as far as the survey reaches, and level where there is water."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from tiler.core.products import BEYOND
 from tiler.core.raster import NODATA
+from tiler.grid.block import edit_heights
 from tiler.grid.checksum import checksum
 from tiler.grid.survey import coarse_values
 from tiler.grid.work import OutlineBlock
@@ -15,9 +16,10 @@ from tiler.store import open_store
 
 
 def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
-    """Write one block of a model without the heights beyond the survey; a `tiler.schedule.task.Work`.
+    """Write one block of a model with level water and without heights beyond the survey; a `tiler.schedule.task.Work`.
 
-    Facets span a concave border of the survey: land that was never surveyed would get a height from its rim.
+    Facets span a concave border of the survey: land that was never surveyed would get a height from its rim. They also
+    span rivers that leave the survey: there water stays.
 
     Parameters
     ----------
@@ -27,13 +29,26 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a height), ``cut`` (those that lost it); ``checksum``.
+        ``pixels``, ``filled`` (pixels with a height), ``cut`` (those that lost it), ``added`` (those that water gave
+        one), ``water`` (number and pixels of each body); ``checksum``.
     """
-    store, nodata = open_store(store_url), np.float32(NODATA)
-    heights = store.read_block(work.heights, work.block)
-    before = int(np.count_nonzero(heights != nodata))
-    cells = coarse_values(store, work.survey, work.coarse, work.spec, work.block)
-    heights = np.where(cells == BEYOND, nodata, heights)
-    store.write_block(work.name, work.block, heights)
-    after = int(np.count_nonzero(heights != nodata))
-    return {"pixels": heights.size, "filled": after, "cut": before - after, "checksum": checksum(heights)}
+    store, spec, block = open_store(store_url), work.spec, work.block
+    nodata = np.float32(NODATA)
+    before = store.read_block(work.heights, block)
+    beyond = coarse_values(store, work.survey, work.coarse, spec, block) == BEYOND
+    heights, water = before.copy(), []
+    waters = store.waters(work.waters, spec.block_bounds(block))
+    if waters is not None:
+        wet = waters.inside(spec, block)
+        water = waters.set_heights(spec, block, heights, (before != nodata) | ~beyond)
+        edit_heights(store, work.edits, spec, block, heights)
+        beyond &= ~wet
+    if work.cut:
+        heights[beyond] = nodata
+    store.write_block(work.name, block, heights)
+    filled = int(np.count_nonzero(heights != nodata))
+    cut = int(np.count_nonzero((before != nodata) & (heights == nodata)))
+    return {
+        "pixels": heights.size, "filled": filled, "cut": cut, "water": water, "checksum": checksum(heights),
+        "added": filled + cut - int(np.count_nonzero(before != nodata)),
+    }  # fmt: skip

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from fractions import Fraction
 
+from tiler.core.area import Area
 from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
+from tiler.core.water import Water
 from tiler.grid.ground import GroundRule
 from tiler.schedule import NOT_IN_DIGEST
 
@@ -152,7 +154,7 @@ class MakeSurvey:
 
 @dataclass(frozen=True, kw_only=True)
 class OutlineBlock(BlockWork):
-    """A block of a model without the heights beyond the survey.
+    """A block of a model with its water level, and without the heights beyond the survey.
 
     Attributes
     ----------
@@ -161,11 +163,43 @@ class OutlineBlock(BlockWork):
     survey : str
     coarse : RasterSpec
         Of the cells of the survey.
+    cut : bool
+        Leave out what lies beyond the survey.
+    waters, edits : str or None
+        Keys in the store of bodies of water and of corrections, which come after them; those that touch a block are
+        in its digest.
     """
 
     heights: str
     survey: str
     coarse: RasterSpec
+    cut: bool = True
+    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+
+
+@dataclass(frozen=True)
+class LevelWater:
+    """A body of water whose height is to be found.
+
+    Attributes
+    ----------
+    body : Water
+    others : tuple of Area
+        Water beside it, which is no shore.
+    heights : str
+        The terrain.
+    spec : RasterSpec
+    """
+
+    body: Water
+    others: tuple[Area, ...]
+    heights: str
+    spec: RasterSpec
+
+    def place(self, buckets: Lattice) -> Bounds | None:
+        """Bounds of the water."""
+        return self.body.area.bounds
 
 
 @dataclass(frozen=True)
@@ -241,6 +275,8 @@ class MaskBlock(PointsBlock):
         Of tiles that failed.
     area : str or None
         Key in the store of the area, outside of which all is outside.
+    waters : str or None
+        Key in the store of bodies of water; those that touch a block are in its digest.
     """
 
     dtm: str
@@ -249,6 +285,7 @@ class MaskBlock(PointsBlock):
     coarse: RasterSpec
     holes: tuple[Bounds, ...] = ()
     area: str | None = None
+    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,8 @@ STORE = "store.zarr"
 """Folder of the tile store, unless the user names another place."""
 OUTLINE = "outline.gpkg"
 """The outline of the survey."""
+WATER = "water.gpkg"
+"""Bodies of water, with their heights."""
 
 CLASSIFIED = "classified"
 """Folder of the classified clouds."""

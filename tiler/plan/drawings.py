@@ -1,4 +1,4 @@
-"""What people drew for a run to take up: breaklines and corrections, read and judged before the first point is."""
+"""What people drew for a run to take up: breaklines, corrections and water, judged before the first point is read."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ import numpy.typing as npt
 from tiler.core.breaklines import LONGEST_SEGMENT, two_heights
 from tiler.core.edits import ACTIONS, FLAT, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
+from tiler.core.water import Water
 from tiler.errors import ConfigError, InputError
 from tiler.io.vector import LINES_AND_POLYGONS, POLYGONS, Feature, Features, Kind, read_in_crs, tell_outside
 from tiler.io.vector.areas import area_in_counts
 from tiler.plan.model import Plan
+from tiler.plan.waters import waters_of
 from tiler.schedule import read_apart
 
 Counts = npt.NDArray[np.int64]
@@ -45,7 +47,13 @@ def with_drawings(plan: Plan) -> Plan:
     if config.edits is not None:
         found = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
         edits = tuple(_edit(number, feature) for number, feature in enumerate(found.features, start=1))
-    return replace(plan, lines=tuple(lines), edits=edits, notes=tuple(notes), warnings=tuple(warnings))
+    waters: tuple[Water, ...] = ()
+    if config.water_file is not None:
+        found = _read(plan, Path(config.water_file), LINES_AND_POLYGONS, False, notes, warnings, every=True)
+        waters = tuple(waters_of(found.features, plan.extent))
+    return replace(
+        plan, lines=tuple(lines), edits=edits, waters=waters, notes=tuple(notes), warnings=tuple(warnings)
+    )
 
 
 def _tell_two_heights(lines: list[Counts]) -> list[str]:
@@ -61,14 +69,21 @@ def _tell_two_heights(lines: list[Counts]) -> list[str]:
 
 
 def _read(
-    plan: Plan, path: Path, kind: Kind, needs_z: bool, notes: list[str], warnings: list[str]
+    plan: Plan,
+    path: Path,
+    kind: Kind,
+    needs_z: bool,
+    notes: list[str],
+    warnings: list[str],
+    every: bool = False,
 ) -> Features:
-    """Features of a file in the CRS of the run, read by a process of its own."""
+    """Features of a file in the CRS of the run, read by a process of its own; ``every``: of all of its layers."""
+    every |= needs_z
     wkt = plan.meta.frame.crs_wkt
     if plan.config.in_process:
-        found = read_in_crs(path, kind, wkt, needs_z, needs_z)
+        found = read_in_crs(path, kind, wkt, every, needs_z)
     else:
-        found = read_apart(read_in_crs, path, kind, wkt, needs_z, needs_z, paths=(path,))
+        found = read_apart(read_in_crs, path, kind, wkt, every, needs_z, paths=(path,))
     notes += found.notes
     x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
     warnings += tell_outside(path, found, (x0, y0, x1, y1))

@@ -15,6 +15,7 @@ from tiler.core.breaklines import Counts
 from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds
 from tiler.core.stage_names import stage_title
+from tiler.core.water import Water
 from tiler.grid import SMALLEST_PART
 from tiler.ingest import SourceInfo, claimed_bounds
 from tiler.plan.crowd import Crowd
@@ -97,6 +98,8 @@ class Plan:
         Corrections, in the order of their file.
     lines : tuple of int64 (n, 3)
         Vertices of breaklines, absolute counts.
+    waters : tuple of Water
+        Bodies of water that a file says, in its order; heights where it has them.
     """
 
     config: RunConfig
@@ -123,6 +126,7 @@ class Plan:
     statistics: dict[str, Any] | None = None
     edits: tuple[Edit, ...] = ()
     lines: tuple[Counts, ...] = ()
+    waters: tuple[Water, ...] = ()
 
     @property
     def filled(self) -> list[SourceInfo]:

@@ -25,6 +25,7 @@ from tiler.io.result_folder import (
     REPORT,
     RUN,
     STORE,
+    WATER,
     folder_here,
     foreign_files,
 )
@@ -87,7 +88,8 @@ def _overlap(bounds: Sequence[Sequence[float]], metres: float, tile: float, halo
 
 def read_besides(config: RunConfig) -> list[str]:
     """Files that a run reads besides its clouds."""
-    return [*(name for name in (config.aoi, config.edits) if name is not None), *config.breaklines]
+    names = (config.aoi, config.edits, config.water_file)
+    return [*(name for name in names if name is not None), *config.breaklines]
 
 
 def refuse_places(config: RunConfig, products: str, paths: Sequence[Path]) -> None:
@@ -107,6 +109,8 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     wanted += [f"{name}.gpkg" for name in plan.config.drawn]
     if plan.config.outline == "survey":
         wanted.append(OUTLINE)
+    if plan.config.water != "none":
+        wanted.append(WATER)
     if plan.config.method != KEEP:
         wanted += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
     places = [joined(products, name) for name in wanted]

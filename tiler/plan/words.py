@@ -72,7 +72,7 @@ def plan_lines(plan: Plan) -> list[str]:
 
 def _drawn_in_words(plan: Plan) -> list[str]:
     """What people drew for the run, if anything."""
-    counts = {"correction": len(plan.edits), "breakline": len(plan.lines)}
+    counts = {"correction": len(plan.edits), "breakline": len(plan.lines), "water polygon": len(plan.waters)}
     parts = [f"{n:,} {name}{'' if n == 1 else 's'}" for name, n in counts.items() if n]
     return [f"drawn       {', '.join(parts)}"] if parts else []
 

@@ -43,6 +43,7 @@ class Facts(TypedDict, total=False):
     filter: dict[str, Any]  # points of each class, tiles, marks, overlap work
     breaklines: dict[str, Any]
     edits: list[dict[str, Any]]  # what each correction changed
+    water: list[Any]  # each body of water, with its level and the pixels that it has
     dtm: dict[str, Any]  # size of the raster, pixels with a height, marks, blocks
     dsm: dict[str, Any]
     mask: dict[str, Any]  # pixels of each value

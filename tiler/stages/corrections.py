@@ -18,7 +18,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.errors import ProcessingError
 from tiler.export import WriteClassified
-from tiler.grid import FillBlock, PointsBlock, SurveyEdit, full_halo, survey_edit
+from tiler.grid import FillBlock, OutlineBlock, PointsBlock, SurveyEdit, full_halo, survey_edit
 from tiler.plan import Plan
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -27,7 +27,7 @@ from tiler.stages.tasks import Assembled, ground_rule
 from tiler.store import Commits
 from tiler.version import __version__
 
-EDITED = ("dtm", "dtm-filled")
+EDITED = ("dtm", "dtm-filled", "dtm-outlined")
 """Rasters whose heights edits can set."""
 MOST_PLACES = 20_000
 """Vertices that run.json and the report's map take of edits, or of breaklines."""
@@ -87,7 +87,7 @@ def _with_edits(task: Task, key: str) -> Task:
     work = task.arguments
     if isinstance(work, PointsBlock):
         return replace(task, arguments=replace(work, rule=replace(work.rule, edits=key)))
-    if isinstance(work, FillBlock | WriteClassified):
+    if isinstance(work, FillBlock | OutlineBlock | WriteClassified):
         return replace(task, arguments=replace(work, edits=key))
     return task
 

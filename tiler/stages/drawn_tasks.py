@@ -7,10 +7,20 @@ from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
+from tiler.config import NO_WATER
 from tiler.core.products import CONTOURS, SPOTS
-from tiler.export import WriteContours, WriteOutline, WriteSpots, write_contours, write_outline, write_spots
+from tiler.export import (
+    WriteContours,
+    WriteOutline,
+    WriteSpots,
+    WriteWater,
+    write_contours,
+    write_outline,
+    write_spots,
+    write_water,
+)
 from tiler.export.work import DrawnFile
-from tiler.io.result_folder import OUTLINE
+from tiler.io.result_folder import OUTLINE, WATER
 from tiler.schedule import Task, Work, digest_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.raster_table import final
@@ -46,6 +56,9 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
         outline = WriteOutline(name=OUTLINE, survey="survey", coarse=g.coarse, out=out, area=area_key(plan))
         digest = digest_of(__version__, outline, checksums(g.made["survey"]))
         yield Task("export", OUTLINE, digest, write_outline, outline)
+    if config.water != NO_WATER:
+        water = WriteWater(WATER, g.waters.key, out)
+        yield Task("export", WATER, digest_of(__version__, water), write_water, water)
     for name in config.drawn:
         write, work = works[name]
         digest = digest_of(__version__, work, checksums(g.made[terrain]))

@@ -108,7 +108,13 @@ def _basis(gridding: Gridding) -> str:
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
     return digest_of(
-        terrain, config.voids, config.outline, str(config.spike), str(config.sheets), area_key(gridding.plan)
+        terrain,
+        config.voids,
+        config.outline,
+        str(config.spike),
+        str(config.sheets),
+        area_key(gridding.plan),
+        gridding.waters.key if gridding.waters.bodies else None,
     )
 
 

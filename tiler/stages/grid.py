@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ptd.precompile import warm_gridding
+from tiler.config import NO_WATER
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.products import MASK_VALUES, OUTSIDE
@@ -25,9 +26,10 @@ from tiler.runs.worker import compute
 from tiler.schedule import Task, digest_of
 from tiler.stages.corrections import Corrections, tell_of_pixels
 from tiler.stages.gridding import Gridding, Raster
-from tiler.stages.raster_table import final, wanted
+from tiler.stages.raster_table import wanted
 from tiler.stages.raster_tasks import WHOLE
 from tiler.stages.tasks import Assembled
+from tiler.stages.water import find_waters, tell_of_waters
 from tiler.store import Commits
 
 MATCHED, MATCHED_SURFACE, MATCHED_EROSION = "dim", "median", Fraction(1, 2)
@@ -43,12 +45,16 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str], corrections: C
     gridding = Gridding(job.plan, assembled, labels, _holes(job))
     for raster in wanted(job.plan.config):
         name = raster.name
+        if name == "dtm-outlined" and job.plan.config.water != NO_WATER:
+            gridding.waters = find_waters(job, gridding)
         tasks = corrections.of_rasters(job.plan, name, raster.tasks(raster, gridding))
         gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks)
         if name == "dtm":
             tell_of_pixels(job, gridding.made[name])
             _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
             _advise(job, gridding.spec, gridding.made[name])
+    if job.plan.config.water != NO_WATER:
+        tell_of_waters(job, gridding.waters, gridding.made["dtm-outlined"])
     _tell_of_outline(job, gridding)
     if "dsm" in gridding.made:
         _tell_of_surface(job, gridding.made["dsm"])
@@ -142,17 +148,20 @@ def _advise(job: Job, spec: RasterSpec, made: Commits) -> None:
 
 
 def _tell_of_outline(job: Job, gridding: Gridding) -> None:
-    cut = gridding.made.get(final("dtm", job.plan.config), {}) if job.plan.config.outline == "survey" else {}
+    made = gridding.made.get("dtm-outlined")
+    if not made:
+        return
+    cut, added = (sum(record[name] for _, record in made.values()) for name in ("cut", "added"))
+    job.facts["dtm"]["filled"] += added - cut
+    if job.plan.config.outline != "survey":
+        return
+    gap = gridding.made["survey"][WHOLE][1]["gap"] * float(gridding.coarse_m)
+    job.facts["outline"] = {"gap_m": gap, "cell_m": float(gridding.coarse_m), "cut_pixels": cut}
     if cut:
-        pixels = sum(record["cut"] for _, record in cut.values())
-        gap = gridding.made["survey"][WHOLE][1]["gap"] * float(gridding.coarse_m)
-        job.facts["dtm"]["filled"] -= pixels
-        job.facts["outline"] = {"gap_m": gap, "cell_m": float(gridding.coarse_m), "cut_pixels": pixels}
-        if pixels:
-            job.note(
-                f"{pixels:,} pixels beyond the survey have no height: gaps in the points of up to {gap:g} m count as "
-                "surveyed (--outline hull keeps these heights)"
-            )
+        job.note(
+            f"{cut:,} pixels beyond the survey have no height: gaps in the points of up to {gap:g} m count as "
+            "surveyed (--outline hull keeps these heights)"
+        )
 
 
 def _tell_of_surface(job: Job, made: Mapping[str, Any]) -> None:

@@ -9,6 +9,7 @@ from fractions import Fraction
 
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
+from tiler.core.water import Waters
 from tiler.plan import Plan
 from tiler.schedule import Task, Work
 from tiler.stages.tasks import Assembled, raster_spec
@@ -69,6 +70,8 @@ class Gridding:
     ----------
     holes : sequence of Bounds
         Where tiles failed, so that heights there, if any, come from elsewhere.
+    waters : Waters
+        Bodies of water, once the terrain around them is made.
     """
 
     plan: Plan
@@ -76,6 +79,7 @@ class Gridding:
     labels: Mapping[Cell, str]
     holes: Sequence[Bounds] = ()
     made: dict[str, Commits] = field(default_factory=dict)
+    waters: Waters = field(default_factory=lambda: Waters(()))
 
     @property
     def spec(self) -> RasterSpec:

@@ -2,12 +2,12 @@
 
 Besides the products there are rasters that only the store holds: ``occupancy`` and ``survey`` (coarse cells, see
 `tiler.grid.survey`); for a model whose voids are filled ``<name>-voids`` (coarse cells: the number of the void)
-and ``<name>-filled``; and ``<name>-outlined``, the model as far as the survey reaches.
+and ``<name>-filled``; and ``<name>-outlined``, the model as far as the survey reaches, with level water.
 """
 
 from __future__ import annotations
 
-from tiler.config import RunConfig
+from tiler.config import NO_WATER, RunConfig
 from tiler.core.products import PRODUCTS
 from tiler.grid import (
     density_block,
@@ -42,9 +42,16 @@ MODELS = ("dtm", "dsm")
 
 def final(product: str, config: RunConfig) -> str:
     """The raster of the store that holds a product as people get it."""
-    if product in MODELS and config.outline == "survey":
+    if product in _outlined(config):
         return f"{product}-outlined"
     return filled(product, config)
+
+
+def _outlined(config: RunConfig) -> tuple[str, ...]:
+    """Models that end at the outline, or hold water: only the terrain is level there."""
+    if config.outline == "survey":
+        return MODELS
+    return () if config.water == NO_WATER else ("dtm",)
 
 
 def filled(product: str, config: RunConfig) -> str:
@@ -80,7 +87,7 @@ def raster_table(config: RunConfig) -> dict[str, Raster]:
                 _fill(model),
             ),
         ]
-    for model in MODELS if config.outline == "survey" else ():
+    for model in _outlined(config):
         cut, whole = final(model, config), filled(model, config)
         rows.append(Raster(cut, (whole, "survey"), outline_block, Grid.PIXELS, outline_tasks, _fill(model)))
     return {row.name: row for row in rows}

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
+from tiler.core.water import Waters
 from tiler.grid import (
     DeriveBlock,
     DistanceBlock,
@@ -153,15 +154,23 @@ def fill_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
 
 
 def outline_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
-    """One for each block of a model."""
+    """One for each block of a model, and for those of the survey that hold water."""
     model, survey = raster.inputs
-    surveyed = checksums(g.made[survey])
-    for key, (_, record) in sorted(g.made[model].items()):
+    made, surveyed = g.made[model], checksums(g.made[survey])
+    waters = g.waters if raster.name.startswith("dtm") else Waters(())
+    keys = {*made}
+    if waters.bodies:
+        inside = blocks_of(g.made[survey][WHOLE][1]["blocks"], g.spec, BLOCK_PIXELS)
+        keys |= {block.name for block in inside if waters.near(g.spec.block_bounds(block)).bodies}
+    for key in sorted(keys):
         block = g.spec.block_named(key, BLOCK_PIXELS)
+        wet = waters.digest(g.spec.block_bounds(block))
         work = OutlineBlock(
-            name=raster.name, spec=g.spec, block=block, heights=model, survey=survey, coarse=g.coarse
-        )
-        digest = digest_of(__version__, work, record["checksum"], surveyed)
+            name=raster.name, spec=g.spec, block=block, heights=model, survey=survey, coarse=g.coarse,
+            cut=g.plan.config.outline == "survey", waters=waters.key if wet else None,
+        )  # fmt: skip
+        own = made[key][1]["checksum"] if key in made else None
+        digest = digest_of(__version__, work, own, surveyed, wet)
         yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
 
 
@@ -179,22 +188,16 @@ def mask_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     made = (spec.block_named(key, BLOCK_PIXELS) for name in (dtm, heights) for key in g.made[name])
     for block in sorted({*near, *holes, *inside, *made}, key=north_west):
         work = MaskBlock(
-            name=raster.name,
-            spec=spec,
-            block=block,
-            rule=rule,
-            dtm=dtm,
-            filled=heights,
-            survey=survey,
-            coarse=coarse,
-            holes=tuple(holes.get(block, ())),
-            area=area,
-        )
+            name=raster.name, spec=spec, block=block, rule=rule, dtm=dtm, filled=heights, survey=survey,
+            coarse=coarse, holes=tuple(holes.get(block, ())), area=area,
+            waters=g.waters.key if g.waters.bodies else None,
+        )  # fmt: skip
+        wet = g.waters.digest(spec.block_bounds(block))
         rasters = [
             g.made[name][block.name][1]["checksum"] for name in (dtm, heights) if block.name in g.made[name]
         ]
         seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in near.get(block, [])]
-        digest = digest_of(__version__, work, surveyed, rasters, seen)
+        digest = digest_of(__version__, work, surveyed, rasters, seen, wet)
         yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
 
 

@@ -15,6 +15,7 @@ from tiler.core.edits import Edits
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
+from tiler.core.water import Waters
 from tiler.errors import StoreError
 from tiler.store import arrays, commits, elected, index, layout, lock, points, rasters, spool
 from tiler.store.index import Bucket, BucketIndex, BucketInfo
@@ -100,6 +101,19 @@ class TileStore:
     def breaklines(self, key: str) -> Breaklines:
         """The breaklines kept under a key."""
         return self._kept(f"breaklines-{key}", Breaklines.from_json)
+
+    def put_waters(self, waters: Waters) -> None:
+        """Keep bodies of water under their key."""
+        self.put_state(f"waters-{waters.key}", waters.to_json())
+
+    def waters(self, key: str | None, bounds: Bounds) -> Waters | None:
+        """Those of the bodies kept under a key that touch the bounds; None for none."""
+        found = Waters(()) if key is None else self.all_waters(key).near(bounds)
+        return found if found.bodies else None
+
+    def all_waters(self, key: str) -> Waters:
+        """The bodies of water kept under a key."""
+        return self._kept(f"waters-{key}", Waters.from_json)
 
     def _kept(self, name: str, read: Callable[[Any], Kept]) -> Kept:
         """What was put as a state, read once; StoreError where it is gone."""

@@ -1,0 +1,108 @@
+"""Water in the terrain: level or falling, the land beside it untouched, and the same from the file that a run wrote."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+import shapely
+from pyproj import Transformer
+
+from tests.invariants.runs import computed, do, settings
+from tests.invariants.test_drawn import EAST, NORTH, digests, draw, ground, pixels, written
+from tiler.core.products import WATER
+from tiler.errors import InputError
+from tiler.plan import make_plan
+
+LAKE = shapely.Point(18, 20).buffer(9)
+RIVER = shapely.box(38, -10, 50, 70)
+
+
+def valley(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Uneven land, 1 m below it a lake, and a river that falls to the south; both of uneven returns."""
+    rng = np.random.default_rng(8)
+    wave = rng.normal(0, 0.15, len(x))
+    lake, river = (x - 18) ** 2 + (y - 20) ** 2 < 81, np.abs(x - 44) < 6
+    land = 30 + 0.02 * y + 0.3 * np.sin(x / 5)
+    return np.select([lake, river], [28.5 + wave, 28 + 0.02 * y + wave], land)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cloud, its plain DTM in `plain`, and one with water in `wet`."""
+    path = tmp_path_factory.mktemp("water")
+    cloud = written(path / "valley.laz", ground(valley, number=7000))
+    drawn = draw(path / "w.json", [(LAKE, {"kind": "pond"}), (RIVER, {"kind": "river"})])
+    do(cloud, path / "plain", method="keep", resolution="0.5")
+    do(cloud, path / "wet", method="keep", resolution="0.5", water=drawn, products="dtm,mask")
+    return path
+
+
+def mask(out: Path) -> np.ndarray:
+    with rasterio.open(out / "mask.tif") as raster:
+        return raster.read(1)[::-1]
+
+
+def test_a_lake_is_level_and_a_river_falls_and_the_land_stays(folder: Path) -> None:
+    before, after, wet = pixels(folder / "plain"), pixels(folder / "wet"), mask(folder / "wet") == WATER
+    assert (before == after)[~wet].all()
+    y, x = (np.mgrid[0:120, 0:120] + 0.5) / 2
+    lake = shapely.contains_xy(LAKE, x, y)
+    assert (wet == (lake | shapely.contains_xy(RIVER, x, y))).all()
+    assert len(set(after[lake].tolist())) == 1
+    assert abs(after[lake][0] - 28.5) < 0.05
+    river = after[:, 76:100]
+    assert np.ptp(river, axis=1).max() < 0.02  # from bank to bank
+    assert np.diff(river, axis=0).min() >= 0  # rows go up the river
+    assert np.abs(river[:, 12] - 28 - 0.02 * y[:, 0]).max() < 0.15
+
+
+def test_the_file_that_a_run_writes_gives_the_same_terrain(folder: Path, tmp_path: Path) -> None:
+    given = folder / "wet" / "water.gpkg"
+    do(folder / "valley.laz", tmp_path, method="keep", resolution="0.5", water=str(given))
+    assert (pixels(tmp_path) == pixels(folder / "wet")).all()
+    kind = pyogrio.raw.read(given, layer="water")[3][1]
+    assert kind.tolist() == ["lake", "river"]
+
+
+def test_another_level_changes_the_water_alone_and_no_other_stage(folder: Path, tmp_path: Path) -> None:
+    cloud, out = folder / "valley.laz", tmp_path / "out"
+    do(cloud, out, method="keep", resolution="0.5")
+    to_degrees = Transformer.from_crs(32632, 4326, always_xy=True)
+    moved = shapely.transform(
+        LAKE, lambda xy: np.stack(to_degrees.transform(*(xy + [EAST, NORTH]).T), axis=1)
+    )
+    feature = {"type": "Feature", "properties": {"level": 29.25}, "geometry": shapely.geometry.mapping(moved)}
+    path = tmp_path / "l.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    again = do(cloud, out, method="keep", resolution="0.5", water=str(path))
+    assert {name for name, n in computed(again).items() if n} == {"grid-dtm-outlined", "export"}
+    y, x = (np.mgrid[0:120, 0:120] + 0.5) / 2
+    wet = shapely.contains_xy(LAKE, x, y)
+    assert (pixels(out)[wet] == 29.25).mean() > 0.99
+    before = digests(folder / "plain")
+    do(cloud, out, method="keep", resolution="0.5")
+    assert digests(out)["dtm.tif"] == before["dtm.tif"]
+
+
+@pytest.mark.parametrize(
+    ("features", "message"),
+    [
+        ([(LAKE, {"kind": "swamp"})], "feature 1: its kind is 'swamp'; write lake or river"),
+        ([(LAKE, {"level": "high"})], "feature 1: its level 'high' is no height; write a number"),
+        ([(shapely.LineString([(0, 0), (9, 9)]), {})], "has lines and no polygons; draw the water"),
+        (
+            [(RIVER, {}), (shapely.LineString([(40, 0, 3), (40, 9, 5), (40, 30, 4)]), {})],
+            "feature 2: its heights rise and fall; let them fall along the line",
+        ),
+    ],
+)
+def test_what_is_no_water_is_refused(folder: Path, tmp_path: Path, features: list, message: str) -> None:
+    with pytest.raises(InputError) as error:
+        make_plan([str(folder / "valley.laz")], settings(water=draw(tmp_path / "w.json", features)))
+    assert message in str(error.value)
+    assert str(error.value).startswith(str(tmp_path / "w.json"))

@@ -1,0 +1,104 @@
+"""The line along which a river flows: a way through the middle of its polygon, between its two ends."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+
+from tiler.core.area import Area
+
+Floats = npt.NDArray[np.float64]
+
+MOST_CELLS = 1_000_000
+"""Of the raster on which the way is looked for."""
+CELLS_ACROSS = 8
+"""Of that raster, over the mean width of the river, where there are not too many."""
+
+
+def polygon_of(area: Area) -> Any:
+    """The polygons of an area as one shape, in absolute counts; a place is inside by an odd number of crossings."""
+    import shapely
+
+    shapes = []
+    for rings in area.polygons:
+        shape = shapely.Polygon()
+        for ring in rings:
+            shape = shapely.symmetric_difference(shape, shapely.make_valid(shapely.Polygon(ring)))
+        shapes.append(shape)
+    return shapely.union_all(shapes)
+
+
+def mean_width(shape: Any) -> float:
+    """Width of a ribbon of the same area and perimeter (of the outer ring); of a disk its radius."""
+    import shapely
+
+    outer = sum(shapely.length(shapely.get_exterior_ring(p)) for p in shapely.get_parts(shape))
+    return float(2 * shape.area / outer) if outer else 0.0
+
+
+def course_of(shape: Any) -> Floats | None:
+    """Line through the middle of a polygon, float64 (n, 2); None where it is too small for one."""
+    import shapely
+    from affine import Affine
+    from rasterio.features import rasterize
+
+    west, south, east, north = shape.bounds
+    cell = max(mean_width(shape) / CELLS_ACROSS, math.sqrt((east - west) * (north - south) / MOST_CELLS), 1.0)
+    height, width = math.ceil((north - south) / cell) + 2, math.ceil((east - west) / cell) + 2
+    to_cells = Affine(cell, 0, west - cell, 0, -cell, north + cell)
+    wet = rasterize([(shape, 1)], (height, width), transform=to_cells, all_touched=True, dtype="uint8") > 0
+    parts, number = ndimage.label(wet, np.ones((3, 3), np.bool_))
+    if number == 0:
+        return None
+    wet = parts == np.bincount(parts.ravel())[1:].argmax() + 1
+    middle = ndimage.distance_transform_edt(np.pad(wet, 1))[1:-1, 1:-1]
+    cells, plain, central = _graph(wet, middle)
+    start = _farthest(plain, _farthest(plain, 0))
+    end = _farthest(plain, start)
+    _, before = csgraph.dijkstra(central, directed=False, indices=np.array([start]), return_predecessors=True)
+    way = [end]
+    while way[-1] != start:
+        way.append(int(before[0, way[-1]]))
+    half = float(np.median(middle[wet.nonzero()[0][way], wet.nonzero()[1][way]]))
+    trim = min(round(half), max((len(way) - 3) // 2, 0))
+    rows, cols = (axis[way][trim : len(way) - trim] for axis in cells)
+    if len(rows) < 3:
+        return None
+    smooth = [
+        ndimage.gaussian_filter1d(axis.astype(np.float64), half, mode="nearest") for axis in (cols, rows)
+    ]
+    x, y = west - cell + (smooth[0] + 0.5) * cell, north + cell - (smooth[1] + 0.5) * cell
+    line = shapely.simplify(shapely.LineString(np.stack((x, y), axis=1)), cell / 2)
+    places: Floats = shapely.get_coordinates(line)
+    return places
+
+
+def _graph(wet: npt.NDArray[np.bool_], middle: Floats) -> tuple[Any, Any, Any]:
+    """Rows and columns of the cells, and their ways to neighbours: by length, and much longer near the shore."""
+    cells = np.nonzero(wet)
+    number = np.full(wet.shape, -1, np.int64)
+    number[cells] = np.arange(len(cells[0]))
+    one, other, lengths = [], [], []
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        near = number[down:, max(right, 0) : wet.shape[1] + min(right, 0)]
+        here = number[: wet.shape[0] - down, max(-right, 0) : wet.shape[1] - max(right, 0)]
+        both = (here >= 0) & (near >= 0)
+        one.append(here[both])
+        other.append(near[both])
+        lengths.append(np.full(int(both.sum()), math.hypot(down, right)))
+    a, b, length = np.concatenate(one), np.concatenate(other), np.concatenate(lengths)
+    depth = middle[cells]
+    size = (len(depth), len(depth))
+    plain = sparse.csr_array((length, (a, b)), size)
+    central = sparse.csr_array((length / (depth[a] * depth[b]), (a, b)), size)
+    return cells, plain, central
+
+
+def _farthest(graph: Any, start: int) -> int:
+    distance = csgraph.dijkstra(graph, directed=False, indices=np.array([start]))[0]
+    return int(np.where(np.isfinite(distance), distance, -1.0).argmax())

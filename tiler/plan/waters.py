@@ -1,0 +1,137 @@
+"""Water that people drew: polygons, and lines along which rivers flow, judged before the first point is read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
+from tiler.core.lattice import Bounds
+from tiler.core.water import KINDS, LAKE, RIVER, Water
+from tiler.errors import InputError
+from tiler.io.vector import LINES, POLYGONS, Feature
+from tiler.plan.area import area_in_counts
+
+LEVEL = "level"
+"""Column of the height of the water, in the unit of the heights; columns that name a height do as well."""
+
+
+def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
+    """The bodies of water of a file, heights where it has them; raises InputError.
+
+    Polygons that touch and have no level are one body: files are cut at the borders of sheets, lakes are not.
+
+    Parameters
+    ----------
+    features : sequence of Feature
+        Polygons and lines, in the CRS of the run.
+    extent : Bounds
+        Of the points; water that lies elsewhere is left out.
+    """
+    polygons = [f for f in features if f.geometry.geom_type in POLYGONS.types]
+    if not polygons:
+        place = features[0].place.rpartition(",")[0]
+        raise InputError(f"{place}: has lines and no polygons; draw the water that they flow through")
+    lines = _merged([f for f in features if f.geometry.geom_type in LINES.types])
+    given, open_ones = list[tuple[Feature, int]](), dict[str, list[Feature]]()
+    for feature in polygons:
+        level = _level(feature)
+        if level is None:
+            open_ones.setdefault(_kind(feature, lines), []).append(feature)
+        else:
+            given.append((feature, level))
+    found = [Water(0, kind, *rest) for kind, *rest in _without_level(open_ones)]
+    for feature, level in given:
+        kind = _kind(feature, lines)
+        found.append(Water(0, kind, area_in_counts(feature.place, [feature]), level))
+    found = [_with_line(body, lines) for body in found if body.area.bounds.overlaps(extent)]
+    return [Water(n, b.kind, b.area, b.level, b.flow) for n, b in enumerate(found, start=1)]
+
+
+def _without_level(features: dict[str, list[Feature]]) -> list[tuple[Any, ...]]:
+    """Kind and area of each body that polygons without a level make together."""
+    import shapely
+
+    found = []
+    for kind, of_kind in sorted(features.items()):
+        whole = shapely.union_all([f.geometry for f in of_kind])
+        for part in shapely.get_parts(whole):
+            if part.geom_type == "Polygon" and part.area > 0:
+                found.append((kind, area_in_counts(of_kind[0].place, [Feature("", part, {})])))
+    return found
+
+
+def _kind(feature: Feature, lines: Sequence[Any]) -> str:
+    """As the column says, else a river where a line flows through it; raises InputError."""
+    import shapely
+
+    said = feature.attributes.get("kind")
+    if said is None or said == "":
+        return RIVER if any(shapely.intersection(line, feature.geometry).length for line in lines) else LAKE
+    kind = KINDS.get(said.strip().lower()) if isinstance(said, str) else None
+    if kind is None:
+        raise InputError(
+            f"{feature.place}: its kind is {said!r}; write {LAKE} or {RIVER} into the column `kind`, or nothing"
+        )
+    return kind
+
+
+def _level(feature: Feature) -> int | None:
+    """Counts of the height that a feature names; raises InputError where it is none."""
+    value: Any = feature.attributes.get(LEVEL)
+    value = feature.height() if value is None else value
+    if value is None:
+        return None
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    if not known or not abs(value) * COUNTS_PER_UNIT < INT32_LIMIT:
+        raise InputError(
+            f"{feature.place}: its level {value!r} is no height; write a number in the unit of the heights into "
+            f"the column `{LEVEL}`, or nothing"
+        )
+    height: int = round(value * COUNTS_PER_UNIT)
+    return height
+
+
+def _merged(features: Sequence[Feature]) -> list[Any]:
+    """Lines of flow, joined where they go on; those with heights keep them, and raise InputError if they rise."""
+    import shapely
+
+    flat: list[Any] = []
+    found: list[Any] = []
+    for feature in features:
+        for line in shapely.get_parts(feature.geometry):
+            z = shapely.get_coordinates(line, include_z=True)[:, 2] if line.has_z else np.array([np.nan])
+            if not np.isfinite(z).all() or not z.any():  # a format that knows 3D alone has 0
+                flat.append(shapely.force_2d(line))
+                continue
+            if ((np.diff(z) < 0).any() and (np.diff(z) > 0).any()) or np.abs(z).max() > 1e6:
+                raise InputError(
+                    f"{feature.place}: its heights rise and fall; let them fall along the line, or draw it in 2D"
+                )
+            found.append(shapely.reverse(line) if z[-1] > z[0] else line)
+    return [*found, *(shapely.get_parts(shapely.line_merge(shapely.MultiLineString(flat))) if flat else ())]
+
+
+def _with_line(body: Water, lines: Sequence[Any]) -> Water:
+    """A river with the line that flows through most of it; lines with heights come before others."""
+    import shapely
+
+    if body.kind != RIVER or not lines:
+        return body
+    shape = shapely.union_all([_polygon(rings) for rings in body.area.polygons])
+    inside = [line for line in lines if shapely.intersection(line, shape).length]
+    if not inside:
+        return body
+    most = max(inside, key=lambda line: (bool(line.has_z), shapely.intersection(line, shape).length))
+    places: npt.NDArray[np.float64] = shapely.get_coordinates(most, include_z=bool(most.has_z))
+    flow = np.rint(places * COUNTS_PER_UNIT).astype(np.int64)
+    return Water(body.number, RIVER, body.area, None, flow)
+
+
+def _polygon(rings: Sequence[npt.NDArray[np.int64]]) -> Any:
+    import shapely
+
+    return shapely.Polygon(rings[0] / COUNTS_PER_UNIT, [ring / COUNTS_PER_UNIT for ring in rings[1:]])
