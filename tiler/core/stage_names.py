@@ -12,6 +12,7 @@ _TITLES = {
     "spool": "read the clouds",
     "assemble": "sort the points",
     "edits": "look at the corrections",
+    "water": "find how high water stands",
     "verify": "look whether results changed",
     "export": "write the files",
     "mosaic": "write the mosaics",

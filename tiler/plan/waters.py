@@ -13,7 +13,7 @@ from tiler.core.lattice import Bounds
 from tiler.core.water import KINDS, LAKE, RIVER, Water
 from tiler.errors import InputError
 from tiler.io.vector import LINES, POLYGONS, Feature
-from tiler.plan.area import area_in_counts
+from tiler.io.vector.areas import area_in_counts
 
 LEVEL = "level"
 """Column of the height of the water, in the unit of the heights; columns that name a height do as well."""
