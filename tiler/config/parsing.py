@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any
 
+from tiler.core.sheet_names import check_template
 from tiler.core.units import FARTHEST, parse_area, parse_length
 from tiler.errors import ConfigError
 
@@ -174,13 +175,15 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
         return parse_files(spec.name, value)
     if kind == "bounds":
         return _bounds(value)
+    if kind == "template" and isinstance(value, str):
+        return check_template(value)
     if kind == "int" and (not isinstance(value, int) or isinstance(value, bool) or value < 1):
         raise ConfigError(f"{spec.name} {value!r}: must be a whole number above 0")
     if kind == "flag" and not isinstance(value, bool):
         raise ConfigError(f"{spec.name} {value!r}: must be true or false")
     if kind == "choice" and value not in spec.metadata["choices"]:
         raise ConfigError(f"{spec.name} {value!r}: choose one of {', '.join(spec.metadata['choices'])}")
-    if kind in ("text", "choice", "preset", "file") and not isinstance(value, str):
+    if kind in ("text", "choice", "preset", "file", "template") and not isinstance(value, str):
         raise ConfigError(f"{spec.name} {value!r}: must be text")
     return value
 

@@ -16,6 +16,7 @@ from ptd.params import UNIT_SUFFIXES
 from tiler.config.parsing import parse_pairs, parse_value, plain_value
 from tiler.config.presets import load_preset, preset_names
 from tiler.core.products import DRAWN, NODATA, PRODUCTS
+from tiler.core.sheet_names import DEFAULT as SHEET_NAME
 from tiler.errors import ConfigError
 
 NO_WATER, AUTO_WATER = "none", "auto"
@@ -51,8 +52,14 @@ class RunConfig:
         choices=(*PRODUCTS, *DRAWN),
     )  # fmt: skip
     sheets: Fraction | None = setting(None, "side of the sheets into which each product is cut: files "
-                                      "OUT/<name>/<name>_<x>_<y>.tif below OUT/<name>.vrt; default: one file", unit="m",
+                                      "OUT/<product>/<sheet-name>.tif below OUT/<product>.vrt, listed in "
+                                      "OUT/sheets.gpkg; default: one file", unit="m",
                                       kind="length")  # fmt: skip
+    sheet_name: str = setting(
+        SHEET_NAME, "name of a sheet's file without its ending; fields: name (product), x and y (west and south edge), "
+        "east and north, in units of the CRS, and x_km, y_km, east_km, north_km in thousands of them, with a format "
+        "where wanted: {x_km:04.0f}", kind="template",
+    )  # fmt: skip
     resolution: Fraction | None = setting(None, "pixel size; default 1 m, or the spacing of the ground where that "
                                           "is coarser", unit="m", kind="length")  # fmt: skip
     tile_size: Fraction | None = setting(None, "side of a filter tile; default from density and memory",
@@ -137,7 +144,8 @@ class RunConfig:
     store: str | None = setting(None, "where the tile store lies; default OUT/store.zarr")
     crs: str | None = setting(
         None,
-        "CRS of files that have none (EPSG:..., WKT), or `none`: unknown, metres "
+        "CRS of files that have none (EPSG:..., WKT; in EPSG:2154+5720 the part of the heights also counts for files "
+        "that have the first part alone), or `none`: unknown, metres "
         "assumed; default: a file without CRS is an error",
     )
     units: str | None = setting(

@@ -20,6 +20,17 @@ def split(crs: CRS) -> tuple[CRS | None, CRS | None]:
     return crs, None
 
 
+def vertical_name(wkt: str | None) -> str | None:
+    """What the heights of a CRS refer to, ``NAVD88 height (EPSG:5703)``; None where nothing says it."""
+    if wkt is None:
+        return None
+    vertical = split(CRS.from_wkt(wkt))[1]
+    if vertical is None:
+        return None
+    authority = vertical.to_authority()
+    return vertical.name if authority is None else f"{vertical.name} ({':'.join(authority)})"
+
+
 def same_horizontal(one: CRS, other: CRS) -> bool:
     """Equal definitions, whatever their names and axis order, or the same EPSG code and unit."""
     if one == other or one.equals(other, ignore_axis_order=True):

@@ -66,6 +66,11 @@ class Product:
     colours: Mapping[int, tuple[int, int, int]] = field(default_factory=dict)
     values: Mapping[int, str] = field(default_factory=dict)
 
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Names of the values 0, 1, 2 ... where they are classes."""
+        return tuple(self.values.get(value, "") for value in range(max(self.values, default=-1) + 1))
+
 
 PRODUCTS: dict[str, Product] = {
     "dtm": Product("terrain height"),

@@ -3,15 +3,19 @@
 from tiler.export.classified import write_classified
 from tiler.export.cog import write_cog
 from tiler.export.contours import write_contours, write_spots
+from tiler.export.legend import write_legend
 from tiler.export.mosaic import write_mosaic
 from tiler.export.outline import write_outline
+from tiler.export.sheet_index import write_sheet_index
 from tiler.export.water import write_water
 from tiler.export.work import (
     WriteClassified,
     WriteCog,
     WriteContours,
+    WriteLegend,
     WriteMosaic,
     WriteOutline,
+    WriteSheetIndex,
     WriteSpots,
     WriteWater,
 )
@@ -20,15 +24,19 @@ __all__ = [
     "WriteClassified",
     "WriteCog",
     "WriteContours",
+    "WriteLegend",
     "WriteMosaic",
     "WriteOutline",
+    "WriteSheetIndex",
     "WriteSpots",
     "WriteWater",
     "write_classified",
     "write_cog",
     "write_contours",
+    "write_legend",
     "write_mosaic",
     "write_outline",
+    "write_sheet_index",
     "write_spots",
     "write_water",
 ]

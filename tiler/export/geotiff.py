@@ -44,6 +44,8 @@ class RasterLook:
         Colour table of a uint8 band, empty for none.
     meanings : mapping of str to str
         Tags of the band that say what its values mean, empty where they are measures.
+    categories : tuple of str
+        Names of the values 0, 1, 2 ... where they are classes; a GeoTIFF has no place for them.
     """
 
     crs: str | None
@@ -54,6 +56,7 @@ class RasterLook:
     nodata: float | None = NODATA
     colours: Mapping[int, tuple[int, int, int]] = field(default_factory=dict)
     meanings: Mapping[str, str] = field(default_factory=dict)
+    categories: tuple[str, ...] = ()
 
 
 class PlainWriter:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 
@@ -95,11 +96,21 @@ def _describe_band(band: ElementTree.Element, look: RasterLook) -> None:
     if look.nodata is not None:
         ElementTree.SubElement(band, "NoDataValue").text = f"{look.nodata:.17g}"
     ElementTree.SubElement(band, "ColorInterp").text = "Palette" if look.colours else "Gray"
+    if look.categories:
+        band.append(category_names(look.categories))
     if look.colours:
         table = ElementTree.SubElement(band, "ColorTable")
         for value in range(max(look.colours) + 1):
             red, green, blue = (str(c) for c in look.colours.get(value, (0, 0, 0)))
             ElementTree.SubElement(table, "Entry", c1=red, c2=green, c3=blue, c4="255")
+
+
+def category_names(names: Sequence[str]) -> ElementTree.Element:
+    """What GDAL calls the values 0, 1, 2 ... of a raster of classes."""
+    found = ElementTree.Element("CategoryNames")
+    for name in names:
+        ElementTree.SubElement(found, "Category").text = name
+    return found
 
 
 def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: RasterSpec, kind: str) -> None:

@@ -115,6 +115,36 @@ class WriteMosaic(ProductFile):
     sheets: tuple[tuple[str, RasterSpec], ...]
 
 
+@dataclass(frozen=True)
+class SheetFile:
+    """A sheet that was written: its product, path in OUT, pixels, percentage without a value, lowest and highest."""
+
+    product: str
+    path: str
+    spec: RasterSpec
+    void_percent: float
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class WriteSheetIndex:
+    """The file ``name`` in ``out`` (a folder that exists, or a URL) that says where sheets lie."""
+
+    name: str
+    sheets: tuple[SheetFile, ...]
+    out: str
+
+
+@dataclass(frozen=True)
+class WriteLegend:
+    """The file ``name`` in ``out`` (a folder that exists, or a URL) that names the classes of a product's raster."""
+
+    product: str
+    name: str
+    out: str
+
+
 @dataclass(frozen=True, kw_only=True)
 class DrawnFile:
     """A file of vectors that follows from the terrain.

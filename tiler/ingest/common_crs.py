@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -88,7 +89,7 @@ def _settled(path: Path, own: Georeference, given: Georeference | None, text: st
             "reproject the file to a projected CRS"
         )
     if own.kind != "missing":
-        return own
+        return _with_heights(own, given)
     if given is not None:
         return given
     if text is not None:
@@ -98,6 +99,17 @@ def _settled(path: Path, own: Georeference, given: Georeference | None, text: st
         f"{path}: has no CRS{why}; name it with --crs EPSG:..., or --crs none to assume metres "
         "(feet: --crs none --units ft)"
     )
+
+
+@lru_cache(maxsize=64)
+def _with_heights(own: Georeference, given: Georeference | None) -> Georeference:
+    """A file's CRS, or that of ``--crs`` where this alone says what heights refer to, and both mean the same plane."""
+    if given is None or given.wkt is None or own.wkt is None:
+        return own
+    (mine, vertical), (theirs, heights) = (split(CRS.from_wkt(wkt)) for wkt in (own.wkt, given.wkt))
+    if vertical is not None or heights is None or own.vertical not in (None, given.vertical):
+        return own
+    return given if mine is not None and theirs is not None and same_horizontal(theirs, mine) else own
 
 
 def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:

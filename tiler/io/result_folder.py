@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,10 @@ OUTLINE = "outline.gpkg"
 """The outline of the survey."""
 WATER = "water.gpkg"
 """Bodies of water, with their heights."""
+SHEETS = "sheets.gpkg"
+"""Where the sheets lie, if products are cut into some."""
+LEGEND = ".aux.xml"
+"""What follows the name of a raster of classes in that of the file with their names, where GDAL looks for it."""
 
 CLASSIFIED = "classified"
 """Folder of the classified clouds."""
@@ -96,7 +100,7 @@ def earlier_digests(out: Path, products: str) -> dict[str, str]:
 
 
 def foreign_files(
-    out: Path, products: str, wanted: Iterable[str], sheets_of: Iterable[str] = ()
+    out: Path, products: str, wanted: Iterable[str], sheets_of: Mapping[str, str] | None = None
 ) -> list[str]:
     """Files that a run would replace and that no earlier run of OUT made, as paths in OUT.
 
@@ -108,18 +112,16 @@ def foreign_files(
         Path or URL of the other files.
     wanted : iterable of str
         Files that the run is to write, as paths in OUT, without run.json, the log and the report.
-    sheets_of : iterable of str
-        Products that are cut into sheets: how these will be called is not yet known, but for their beginning.
+    sheets_of : mapping of str to str, optional
+        Products that are cut into sheets, and what the names of these begin with: more is not yet known.
     """
     ours = earlier_outputs(out, products)
     names = [name for name in wanted if name not in ours]
-    for product in sheets_of:
-        names.append(f"{product}/{product}_")  # no file, but its folder may be one
+    for product, start in (sheets_of or {}).items():
+        names.append(f"{product}/{start or product}.")  # no file, but its folder may be one
         sheets = (f"{product}/{name}" for name in names_in(joined(products, product)))
         names += [
-            s
-            for s in sheets
-            if s.startswith(f"{product}/{product}_") and s.endswith(".tif") and s not in ours
+            s for s in sheets if s.startswith(f"{product}/{start}") and s.endswith(".tif") and s not in ours
         ]
     found = _there(products, names)
     for place in dict.fromkeys((str(out), products)):

@@ -13,6 +13,8 @@ import psutil
 
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.products import PRODUCTS
+from tiler.core.sheet_names import beginning
 from tiler.errors import ConfigError
 from tiler.ingest import SourceInfo
 from tiler.io.locations import joined
@@ -21,9 +23,11 @@ from tiler.io.result_folder import (
     ASIDE,
     CLASSIFIED,
     EVENTS,
+    LEGEND,
     OUTLINE,
     REPORT,
     RUN,
+    SHEETS,
     STORE,
     WATER,
     folder_here,
@@ -107,6 +111,7 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     exported, sheets, out = plan.config.exported, plan.config.sheets is not None, folder_here(products)
     wanted = [f"{name}.{'vrt' if sheets else 'tif'}" for name in exported]
     wanted += [f"{name}.gpkg" for name in plan.config.drawn]
+    wanted += [SHEETS] if sheets else [f"{name}.tif{LEGEND}" for name in exported if PRODUCTS[name].values]
     if plan.config.outline == "survey":
         wanted.append(OUTLINE)
     if plan.config.water != "none":
@@ -119,7 +124,8 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     check_targets([Target("-o", place) for place in places], reads)
     if plan.config.force:
         return
-    found = foreign_files(out, products, wanted, exported if sheets else ())
+    starts = {name: beginning(plan.config.sheet_name, name) for name in exported} if sheets else {}
+    found = foreign_files(out, products, wanted, starts)
     if found:
         more = f" and {len(found) - NAMED:,} more" if len(found) > NAMED else ""
         raise ConfigError(
@@ -147,6 +153,10 @@ def refuse(plan: Plan, out: Path | None) -> None:
         raise ConfigError(
             f"--sheets {float(sheets):g} m: no whole number of pixels of {float(plan.resolution):g} m; "
             f"use --sheets {float(max(round(sheets / plan.resolution), 1) * plan.resolution):g} or another --resolution"
+        )
+    if sheets is not None and len(plan.config.exported) > 1 and "{name" not in plan.config.sheet_name:
+        raise ConfigError(
+            f"--sheet-name {plan.config.sheet_name}: several products would have one name; write {{name}} into it"
         )
     if out is not None:
         _refuse_disk(plan, out)

@@ -9,7 +9,7 @@ from tiler.core.products import CONTOURS
 from tiler.errors import ProcessingError, refused_write
 from tiler.export import WriteCog
 from tiler.io.locations import is_url, joined, sizes_at
-from tiler.io.result_folder import below
+from tiler.io.result_folder import LEGEND, SHEETS, below
 from tiler.plan import KEEP
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -17,13 +17,13 @@ from tiler.schedule import Task, digest_of
 from tiler.stages.changed_outputs import take_back_spoilt
 from tiler.stages.corrections import Corrections
 from tiler.stages.drawn_tasks import drawn_tasks
-from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks
+from tiler.stages.file_tasks import Inputs, cog_tasks, index_tasks, legend_tasks, mosaic_tasks
 from tiler.stages.gridding import Gridding
 from tiler.stages.outdated import put_aside
 from tiler.stages.tasks import Source, area_key, classified_tasks
 from tiler.store import Commits
 
-PRODUCTS = (".tif", ".vrt", ".gpkg")
+PRODUCTS = (".tif", ".vrt", ".gpkg", LEGEND)
 """Files of products among what is written; their tasks have the names of the files as keys."""
 
 
@@ -38,21 +38,26 @@ def export(
     """Write the files that people open: rasters, vectors, classified clouds."""
     out, config = job.products, job.plan.config
     digest = digest_of(sorted(source.content for source in sources))
-    tasks = [*cog_tasks(gridding, Inputs.of(sources, spooled), digest, out), *drawn_tasks(gridding, out)]
-    for folder in {task.arguments.out for task in tasks if not is_url(out)}:
-        try:
-            Path(folder).mkdir(exist_ok=True)
-        except OSError as error:
-            raise refused_write(folder, error, Path(out)) from error
+    tasks = [*cog_tasks(gridding, Inputs.of(sources, spooled), digest, out), *legend_tasks(gridding, out)]
+    tasks += drawn_tasks(gridding, out)
+    folders = {task.arguments.out for task in tasks if not is_url(out)}
     if config.method != KEEP:
         tasks += corrections.of_clouds(classified_tasks(job.plan, sources, spooled, labels, out))
     mosaics = list(mosaic_tasks(gridding, digest, out))
     basis = _basis(gridding)
     written = {key: below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
+    written |= {SHEETS: SHEETS} if mosaics else {}
     put_aside(job, written.values(), basis)
+    # Only now: the folder of sheets that were put aside is gone.
+    for folder in folders:
+        try:
+            Path(folder).mkdir(exist_ok=True)
+        except OSError as error:
+            raise refused_write(folder, error, Path(out)) from error
     products = _write(job, "export", tasks, out)
     _tell_of_contours(job)
     if mosaics or job.store.committed("mosaic"):
+        mosaics += index_tasks(tasks, job.store.committed("export"), out)
         products &= _write(job, "mosaic", mosaics, out)
     if gridding.plan.area is not None:
         made = job.store.committed("export")
@@ -107,14 +112,10 @@ def _basis(gridding: Gridding) -> str:
     """What the products are made of: points, labels, and settings that more than their files' form depends on."""
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
+    cut = str(config.sheets) if config.sheets is None else [str(config.sheets), config.sheet_name]
+    water = gridding.waters.key if gridding.waters.bodies else None
     return digest_of(
-        terrain,
-        config.voids,
-        config.outline,
-        str(config.spike),
-        str(config.sheets),
-        area_key(gridding.plan),
-        gridding.waters.key if gridding.waters.bodies else None,
+        terrain, config.voids, config.outline, str(config.spike), cut, area_key(gridding.plan), water
     )
 
 

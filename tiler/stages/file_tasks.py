@@ -9,16 +9,29 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
+from tiler.core.crs import vertical_name
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.export import WriteCog, WriteMosaic, write_cog, write_mosaic
+from tiler.core.sheet_names import refuse_alike, sheet_name
+from tiler.export import (
+    WriteCog,
+    WriteLegend,
+    WriteMosaic,
+    WriteSheetIndex,
+    write_cog,
+    write_legend,
+    write_mosaic,
+    write_sheet_index,
+)
+from tiler.export.work import SheetFile
 from tiler.io.locations import joined
+from tiler.io.result_folder import LEGEND, SHEETS
 from tiler.plan import Plan
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding
-from tiler.stages.raster_table import final, raster_table
+from tiler.stages.raster_table import MODELS, final, raster_table
 from tiler.stages.raster_tasks import checksums
 from tiler.stages.tasks import Source, area_key, by_source
 from tiler.store import Commits
@@ -49,9 +62,9 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Sheet:
-    """One of the files into which the products are cut: the coordinates in its name, its pixels, its buckets."""
+    """One of the squares into which the products are cut: its south-west corner, its pixels, its buckets."""
 
-    place: str
+    corner: tuple[float, float]
     spec: RasterSpec
     cells: list[Cell]
 
@@ -64,12 +77,13 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
     """
     cut = [] if g.plan.config.sheets is None else [(s, inputs.digest(s.cells)) for s in sheets(g)]
     rasters = raster_table(g.plan.config)
+    template, side = g.plan.config.sheet_name, _side(g)
     for name in g.plan.config.exported:
         raster = final(name, g.plan.config)
         whole = WriteCog(
             product=name,
             out=out,
-            tags=_tags(g.plan, whole_inputs),
+            tags=_tags(g.plan, name, whole_inputs),
             nodata=_nodata(g.plan, name),
             name=name,
             raster=raster,
@@ -86,13 +100,9 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
             near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS)
             seen = [[b.name, g.made[raster][b.name][1]["checksum"]] for b in near if b.name in g.made[raster]]
             work = replace(
-                whole,
-                name=f"{name}_{sheet.place}",
-                out=joined(out, name),
-                spec=spec,
-                whole=g.spec,
-                tags=_tags(g.plan, read),
-            )
+                whole, name=sheet_name(template, name, *sheet.corner, side), out=joined(out, name), spec=spec,
+                whole=g.spec, tags=_tags(g.plan, name, read),
+            )  # fmt: skip
             yield _cog_task(work, seen)
 
 
@@ -105,20 +115,49 @@ def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
     """One VRT for each product that is cut into sheets."""
     if g.plan.config.sheets is None:
         return
-    cut = [(sheet.place, sheet.spec) for sheet in sheets(g)]
+    cut, template, side = sheets(g), g.plan.config.sheet_name, _side(g)
     for name in g.plan.config.exported:
+        files = [(sheet_name(template, name, *sheet.corner, side), sheet.spec) for sheet in cut]
+        refuse_alike(template, (file for file, _ in files))
         work = WriteMosaic(
-            product=name,
-            out=out,
-            tags=_tags(g.plan, whole_inputs),
-            nodata=_nodata(g.plan, name),
-            sheets=tuple((f"{name}/{name}_{place}.tif", spec) for place, spec in cut),
-        )
+            product=name, out=out, tags=_tags(g.plan, name, whole_inputs), nodata=_nodata(g.plan, name),
+            sheets=tuple((f"{name}/{file}.tif", spec) for file, spec in files),
+        )  # fmt: skip
         yield Task("mosaic", f"{name}.vrt", digest_of(work), write_mosaic, work)
 
 
+def legend_tasks(g: Gridding, out: str) -> Iterator[Task]:
+    """One for each raster of classes that is one file; over sheets the VRT has the names of the classes."""
+    for name in g.plan.config.exported if g.plan.config.sheets is None else ():
+        if PRODUCTS[name].values:
+            work = WriteLegend(name, f"{name}.tif{LEGEND}", out)
+            yield Task("export", work.name, digest_of(__version__, work), write_legend, work)
+
+
+def index_tasks(tasks: Iterable[Task], written: Commits, out: str) -> Iterator[Task]:
+    """The one that draws where the sheets lie, from the records of those that were written."""
+    works = [
+        t.arguments for t in tasks if isinstance(t.arguments, WriteCog) and t.arguments.whole is not None
+    ]
+    found = []
+    for work in works:
+        record = written.get(f"{work.name}.tif", ("", None))[1]
+        if record is not None:
+            path = f"{work.product}/{work.name}.tif"
+            void = 100 * (1 - record["valid"] / record["pixels"])
+            found.append(SheetFile(work.product, path, work.spec, void, record["min"], record["max"]))
+    if found:
+        index = WriteSheetIndex(SHEETS, tuple(found), out)
+        yield Task("mosaic", SHEETS, digest_of(__version__, index), write_sheet_index, index)
+
+
+def _side(g: Gridding) -> float:
+    """Side of a sheet in units of the CRS; 0 where there are none."""
+    return float(g.plan.meta.frame.counts(g.plan.config.sheets or Fraction(0)) / COUNTS_PER_UNIT)
+
+
 def sheets(g: Gridding) -> list[Sheet]:
-    """Sheets that hold points, on a lattice anchored at CRS 0; their names have the south-west corner."""
+    """Sheets that hold points, on a lattice anchored at CRS 0."""
     assert g.plan.config.sheets is not None  # the callers' choice
     lattice, spec = Lattice(g.plan.meta.frame.counts(g.plan.config.sheets)), g.spec
     side = int(lattice.size / spec.lattice.size)
@@ -132,7 +171,10 @@ def sheets(g: Gridding) -> list[Sheet]:
         cells = [cell for cell in cells if g.plan.area.touches(lattice.bounds(cell))]
     return [
         Sheet(
-            "_".join(_place(i * lattice.size) for i in (cell.ix, cell.iy)),
+            (
+                float(cell.ix * lattice.size / COUNTS_PER_UNIT),
+                float(cell.iy * lattice.size / COUNTS_PER_UNIT),
+            ),
             RasterSpec(spec.lattice, cell.ix * side, (cell.iy + 1) * side, side, side),
             buckets[cell],
         )
@@ -140,18 +182,14 @@ def sheets(g: Gridding) -> list[Sheet]:
     ]
 
 
-def _place(counts: Fraction) -> str:
-    """A coordinate in units of the CRS for a file's name: ``2600000``, ``0.5``."""
-    return f"{float(counts / COUNTS_PER_UNIT):.3f}".rstrip("0").rstrip(".")
-
-
 def _nodata(plan: Plan, name: str) -> float | None:
     """What the files of a product say where it has no value, if that is the user's to say: not of codes and greys."""
     return plan.config.nodata if PRODUCTS[name].nodata == NODATA else None
 
 
-def _tags(plan: Plan, inputs: str) -> dict[str, str]:
+def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
     config = plan.config
+    datum = vertical_name(plan.meta.frame.crs_wkt) if name in MODELS else None
     settings: dict[str, Any] = {
         "interpolation": config.interpolation,
         "surface": config.surface or "all",
@@ -164,6 +202,6 @@ def _tags(plan: Plan, inputs: str) -> dict[str, str]:
         "TILER_VERSION": __version__,
         "TILER_METHOD": config.method,
         "TILER_PARAMETERS": json.dumps(plan.parameters, sort_keys=True),
-        "TILER_GRID": json.dumps(settings, sort_keys=True),
-        "TILER_INPUTS": inputs,
-    }
+        "TILER_GRID": json.dumps(settings, sort_keys=True), "TILER_INPUTS": inputs,
+        **({} if datum is None else {"VERTICAL_DATUM": datum}),
+    }  # fmt: skip

@@ -1,0 +1,63 @@
+"""What a delivery has besides the terrain: names of sheets, where they lie, names of classes, the datum of heights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pyogrio
+import pyproj
+import pytest
+import rasterio
+import rasterio.shutil
+
+from tests.invariants import clouds
+from tests.invariants.runs import do
+from tiler.core.products import MASK_VALUES
+from tiler.errors import ConfigError
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "town.laz", clouds.city(60.0, 1.0))
+
+
+def categories(path: Path) -> list[str | None]:
+    """Names of the classes of a raster, as GDAL reads them."""
+    copy = path.with_name("copy.vrt")
+    rasterio.shutil.copy(path, copy, driver="VRT")
+    return [node.text for node in ElementTree.parse(copy).iter("Category")]
+
+
+def test_sheets_have_the_names_of_the_template_and_an_index(cloud: Path, tmp_path: Path) -> None:
+    changes = {"products": "dtm,mask", "sheets": "40", "crs": "EPSG:32632+5783"}
+    do(cloud, tmp_path, sheet_name="{x_km:.2f}-{y_km:.2f}_{name}", **changes)
+    files = sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.glob("dtm/*.tif"))
+    assert files
+    meta, _, shapes, columns = pyogrio.raw.read(tmp_path / "sheets.gpkg", layer="dtm")
+    found = dict(zip(meta["fields"], columns, strict=True))
+    assert sorted(found["location"]) == files
+    for i, path in enumerate(found["location"]):
+        with rasterio.open(tmp_path / path) as raster:
+            values = raster.read(1, masked=True)
+            assert tuple(found[n][i] for n in ("west", "south", "east", "north")) == tuple(raster.bounds)
+            x, y = raster.bounds.left / 1000, raster.bounds.bottom / 1000
+            assert Path(path).name == f"{x:.2f}-{y:.2f}_dtm.tif"
+            assert found["void_percent"][i] == pytest.approx(100 * np.ma.getmaskarray(values).mean())
+            assert (found["min"][i], found["max"][i]) == (values.min(), values.max())
+            assert raster.tags()["VERTICAL_DATUM"] == "DHHN92 height (EPSG:5783)"
+            assert pyproj.CRS(raster.crs.to_wkt()).sub_crs_list[1].to_epsg() == 5783
+    assert categories(tmp_path / "mask.vrt") == list(MASK_VALUES.values())
+    assert do(cloud, tmp_path, sheet_name="{x_km:.2f}-{y_km:.2f}_{name}", **changes).did_nothing
+    with pytest.raises(ConfigError, match="several products would have one name; write {name} into it"):
+        do(cloud, tmp_path, sheet_name="{x}_{y}", **changes)
+    do(cloud, tmp_path, **changes)
+    assert not [p for p in tmp_path.glob("dtm/*.tif") if "-" in p.name]
+
+
+def test_classes_of_the_mask_have_names_and_colours(cloud: Path, tmp_path: Path) -> None:
+    do(cloud, tmp_path, products="dtm,mask")
+    assert categories(tmp_path / "mask.tif") == list(MASK_VALUES.values())
+    with rasterio.open(tmp_path / "mask.tif") as raster:
+        assert raster.colormap(1)[1] == (90, 150, 90, 255)

@@ -1,0 +1,47 @@
+"""Names of sheets: what a template gives, and what none may be."""
+
+from __future__ import annotations
+
+import pytest
+
+from tiler.core.sheet_names import DEFAULT, beginning, check_template, refuse_alike, sheet_name
+from tiler.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("template", "name"),
+    [
+        (DEFAULT, "dtm_292000_6832000.5"),
+        ("LHD_FXX_{x_km:04.0f}_{north_km:04.0f}_{name}", "LHD_FXX_0292_6833_dtm"),
+        ("{name}-{east:.0f}x{y:010.1f}", "dtm-293000x06832000.5"),
+    ],
+)
+def test_names_are_what_the_template_says(template: str, name: str) -> None:
+    assert sheet_name(check_template(template), "dtm", 292000.0, 6832000.5, 1000.0) == name
+    assert name.startswith(beginning(template, "dtm"))
+
+
+@pytest.mark.parametrize(
+    ("template", "why"),
+    [
+        ("{name}", "one name"),
+        ("{name}_{x_km:.0f}", "one name"),
+        ("{name}/{x}_{y}", "'/'"),
+        (".{x}_{y}", "begins or ends"),
+        ("{x}_{y}_{tile}", "no field {tile}; there are name, x, y"),
+        ("{x.real}_{y}", "no field {x.real}"),
+        ("{x:Q}_{y}", "write one like"),
+        ("{x}_{y", "write one like"),
+        ("{name:_>300}{x}{y}", "more than 200"),
+    ],
+)
+def test_a_template_that_names_no_files_is_refused(template: str, why: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        check_template(template)
+    assert why in str(error.value)
+
+
+def test_no_two_sheets_have_one_name() -> None:
+    refuse_alike(DEFAULT, ["a_1", "a_2"])
+    with pytest.raises(ConfigError, match="two sheets would be A_1; write more digits"):
+        refuse_alike(DEFAULT, ["a_1", "A_1"])

@@ -1,0 +1,61 @@
+"""Where the sheets lie: a tile index that GIS opens."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import shapely
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import RasterSpec
+from tiler.export.work import WriteSheetIndex
+from tiler.io.locations import cloud_path, digest_of_file, folder_for, joined, state_of
+from tiler.io.vector import geopackage
+from tiler.store import open_store
+
+COLUMNS = ("west", "south", "east", "north", "void_percent", "min", "max")
+
+
+def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
+    """Write ``<out>/sheets.gpkg``, a layer for each product and a polygon for each sheet; a `tiler.schedule.task.Work`.
+
+    Columns are ``location`` (path from the folder of the file, named as by gdaltindex), ``west``, ``south``, ``east``,
+    ``north``, ``void_percent`` (pixels without a value), ``min`` and ``max``.
+
+    Parameters
+    ----------
+    store_url : str
+    work : WriteSheetIndex
+
+    Returns
+    -------
+    dict
+        ``path``, ``bytes``, ``digest`` and ``state``, as `write_cog` gives them.
+
+    Raises
+    ------
+    ProcessingError
+        The disk is full or the file cannot be written.
+    """
+    crs = open_store(store_url).meta.frame.crs_wkt
+    with folder_for(work.out) as folder:
+        target = folder / work.name
+        with geopackage(target, crs) as file:
+            for product in dict.fromkeys(sheet.product for sheet in work.sheets):
+                found = [sheet for sheet in work.sheets if sheet.product == product]
+                edges = np.array([_edges(sheet.spec) for sheet in found])
+                # A height of None becomes NaN, which is NULL in the file.
+                figures = np.array([(s.void_percent, s.low, s.high) for s in found], np.float64)
+                numbers = dict(zip(COLUMNS, np.hstack((edges, figures)).T, strict=True))
+                columns = {"location": np.array([sheet.path for sheet in found], object), **numbers}
+                file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
+        record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
+    return {**record, "state": state_of(cloud_path(joined(work.out, work.name))).to_json()}
+
+
+def _edges(spec: RasterSpec) -> tuple[float, float, float, float]:
+    """West, south, east and north edge in units of the CRS."""
+    size = spec.lattice.size / COUNTS_PER_UNIT
+    west, north = spec.west * size, spec.north * size
+    return float(west), float(north - spec.height * size), float(west + spec.width * size), float(north)
