@@ -13,6 +13,15 @@ from ptd.kernel import inlined, kernel, wide
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
+
+class Xyz(NamedTuple):
+    """Points as one argument of kernels: local counts, int32 [n] each, contiguous."""
+
+    x: Int32
+    y: Int32
+    z: Int32
+
+
 DENSE_CELLS_PER_POINT = 16
 """A raster of cells is made only while it has at most so many cells a point; a sparse cloud is sorted instead."""
 

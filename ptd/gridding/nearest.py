@@ -14,8 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from ptd.cells import Xyz
 from ptd.kernel import kernel, wide
 from ptd.tin.gridding import Pixels
+from ptd.tin.pixels import Lattice
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -39,11 +41,35 @@ class Nearest(NamedTuple):
     points: Int32
 
 
+class _Bins(NamedTuple):
+    """Points by pixel, of the raster and so many pixels around it as the search reaches.
+
+    Attributes
+    ----------
+    starts : int64 [rows * columns + 1]
+        Where each pixel's points begin in the order.
+    order : int32
+    empty : int32 [rows, columns]
+        Empty rings around each pixel.
+    pad : int
+        Pixels around the raster on each side.
+    """
+
+    starts: Int64
+    order: Int32
+    empty: Int32
+    pad: int
+
+
 @kernel
 def _bin(
-    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, west: int, north: int, rows: int, columns: int
+    x: Int32, y: Int32, lattice: tuple[int, int, int, int], block: tuple[int, int, int, int]
 ) -> tuple[Int64, Int32]:
-    """Points by pixel: where each pixel's begin in the order (int64 [rows * columns + 1]), and the order (int32)."""
+    """Points by pixel: where each pixel's begin in the order (int64 [rows * columns + 1]), and the order (int32).
+
+    The lattice is given as in `ptd.frame.Cells`, the block as its western column, northern row, rows and columns.
+    """
+    (p, q, ox, oy), (west, north, rows, columns) = lattice, block
     cells = np.empty(x.size, np.int64)
     starts = np.zeros(rows * columns + 1, np.int64)
     for i in range(x.size):
@@ -76,12 +102,23 @@ def _before(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
 
 @kernel
 def _look_in(
-    x: Int32, y: Int32, z: Int32, starts: Int64, order: Int32, cell: int, cx: int, cy: int, reach2: int,
-    squared: Int64, index: Int32, found: int,
-) -> int:  # fmt: skip
-    """Merge the points of a cell into the ``found`` nearest ones of a pixel, sorted; their new number."""
+    x: Int32,
+    y: Int32,
+    z: Int32,
+    order: Int32,
+    cell: tuple[int, int],
+    disk: tuple[int, int, int],
+    squared: Int64,
+    index: Int32,
+    found: int,
+) -> int:
+    """Merge the points of a cell (first, last) into the ``found`` nearest ones of a pixel, sorted; their new number.
+
+    The disk, with its middle and its squared radius, is where they are looked for.
+    """
     k = index.size
-    for j in range(starts[cell], starts[cell + 1]):
+    cx, cy, reach2 = disk
+    for j in range(cell[0], cell[1]):
         i = wide(order[j])
         dx, dy = wide(x[i]) - cx, wide(y[i]) - cy
         d2 = dx * dx + dy * dy
@@ -101,11 +138,11 @@ def _look_in(
 
 
 @kernel
-def _search(
-    x: Int32, y: Int32, z: Int32, starts: Int64, order: Int32, empty: Int32, pad: int,
-    x0: int, y0: int, step: int, scale: int, reach: float, squared: Int64, index: Int32,
-) -> None:  # fmt: skip
-    """Fill ``squared`` and ``index``; ``empty`` has the number of empty rings around each bin."""
+def _search(points: Xyz, bins: _Bins, lattice: Lattice, reach: float, squared: Int64, index: Int32) -> None:
+    """Fill ``squared`` and ``index``."""
+    x, y, z = points
+    starts, order, empty, pad = bins
+    x0, y0, step, scale = lattice
     rows, columns, k = index.shape
     height, width = empty.shape
     size = float(step) / float(scale)
@@ -132,9 +169,8 @@ def _search(
                         if 0 <= c < width:
                             cell = r * width + c
                             if starts[cell + 1] > starts[cell]:
-                                found = _look_in(
-                                    x, y, z, starts, order, cell, cx, cy, reach2, near, which, found
-                                )
+                                held, disk = (starts[cell], starts[cell + 1]), (cx, cy, reach2)
+                                found = _look_in(x, y, z, order, held, disk, near, which, found)
                         c += 1 if whole or ring == 0 else 2 * ring
                 ring += 1
 
@@ -167,24 +203,14 @@ def nearest_points(x: Int32, y: Int32, z: Int32, pixels: Pixels, k: int, reach: 
     index = np.full((pixels.rows, pixels.columns, k), NONE, np.int32)
     if x.size == 0 or index.size == 0:
         return Nearest(squared, index)
-    lattice, pad = pixels.lattice, math.ceil(reach * pixels.q / pixels.p) + 1
+    pad = math.ceil(reach * pixels.q / pixels.p) + 1
     height, width = pixels.rows + 2 * pad, pixels.columns + 2 * pad
-    starts, order = _bin(
-        x,
-        y,
-        pixels.p,
-        pixels.q,
-        pixels.origin_x,
-        pixels.origin_y,
-        pixels.left - pad,
-        pixels.top + pad,
-        height,
-        width,
-    )
+    cells = (pixels.p, pixels.q, pixels.origin_x, pixels.origin_y)
+    starts, order = _bin(x, y, cells, (pixels.left - pad, pixels.top + pad, height, width))
     if order.size == 0:
         return Nearest(squared, index)
     occupied = (np.diff(starts) > 0).reshape(height, width)
     empty = ndimage.distance_transform_cdt(~occupied, metric="chessboard")
-    arguments = (lattice.x0, lattice.y0, lattice.step, lattice.scale, float(reach))
-    _search(x, y, z, starts, order, empty, pad, *arguments, squared, index)
+    bins = _Bins(starts, order, empty, pad)
+    _search(Xyz(x, y, z), bins, pixels.lattice, float(reach), squared, index)
     return Nearest(squared, index)

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, slot_of
+from ptd.cells import CellIndex, CellTable, Xyz, slot_of
 from ptd.frame import Cells
 from ptd.kernel import kernel, wide
 
@@ -18,10 +18,12 @@ Int64 = npt.NDArray[np.int64]
 
 @kernel
 def _beside(
-    x: Int32, y: Int32, z: Int32, columns: Int64, rows: Int64, ox: Int32, oy: Int32, oz: Int32, table: CellTable,
-    reach2: int, rise: int,
-) -> npt.NDArray[np.bool_]:  # fmt: skip
-    """Whether an object's point lies near each point and higher by ``rise``."""
+    ground: Xyz, places: tuple[Int64, Int64], objects: Xyz, table: CellTable, reach2: int, rise: int
+) -> npt.NDArray[np.bool_]:
+    """Whether an object's point lies near each point of the ground and higher by ``rise``."""
+    x, y, z = ground
+    columns, rows = places
+    ox, oy, oz = objects
     out = np.zeros(x.size, np.bool_)
     for i in range(x.size):
         for cell in range(9):
@@ -62,8 +64,8 @@ def beside_objects(
     if objects.shape[1] == 0 or ground.shape[1] == 0:
         return np.zeros(ground.shape[1], np.bool_)
     cells = Cells(reach.numerator, reach.denominator, *origin)
-    x, y, z = (np.ascontiguousarray(axis) for axis in objects)
-    index = CellIndex(x, y, cells)
-    gx, gy, gz = (np.ascontiguousarray(axis) for axis in ground)
-    reach2 = math.floor(reach * reach)
-    return _beside(gx, gy, gz, *index.places(gx, gy), x, y, z, index.table, reach2, rise)
+    above = Xyz(*(np.ascontiguousarray(axis) for axis in objects))
+    below = Xyz(*(np.ascontiguousarray(axis) for axis in ground))
+    index = CellIndex(above.x, above.y, cells)
+    places = index.places(below.x, below.y)
+    return _beside(below, places, above, index.table, math.floor(reach * reach), rise)

@@ -5,19 +5,19 @@ The result of a round depends on the set of candidates alone, not on their order
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32
+from ptd.cells import Int32, Xyz
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.certificates import Doubt, UInt8
 from ptd.ground.criteria import Limits, accepts
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.kernel import kernel, wide
 from ptd.tin.insertion import insert
-from ptd.tin.layout import N_TRIANGLES, STAMP, Int32Array, is_ghost
+from ptd.tin.layout import N_TRIANGLES, STAMP, Int32Array, Mesh, is_ghost
 from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
@@ -25,17 +25,32 @@ WAITING, VERTEX, REFUSED = 0, 1, 2
 """States of a candidate: to be tested, in the TIN, never to be tested (outlier)."""
 
 
+class _Candidates(NamedTuple):
+    """What is known of each candidate between rounds.
+
+    Attributes
+    ----------
+    state : uint8 [n]
+        `WAITING`, `VERTEX` or `REFUSED`.
+    home : int32 [n]
+        The triangle of its last test, -1 before.
+    again : bool [n]
+        The answer rested on other triangles as well.
+    doubtful : bool [n]
+        Points outside the window could change a decision.
+    """
+
+    state: UInt8
+    home: Int32
+    again: npt.NDArray[np.bool_]
+    doubtful: npt.NDArray[np.bool_]
+
+
 @kernel
 def _test_round(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    x: Int32,
-    y: Int32,
-    z: Int32,
-    state: UInt8,
-    home: Int32,
-    again: npt.NDArray[np.bool_],
-    doubtful: npt.NDArray[np.bool_],
+    mesh: Mesh,
+    points: Xyz,
+    candidates: _Candidates,
     in_doubt: UInt8,
     limits: Limits,
     stamp: int,
@@ -46,6 +61,9 @@ def _test_round(
     A triangle changed by the insertions of the last round carries its stamp, ``stamp - 1``. A candidate whose answer
     rests on other triangles as well (mirrored, or on an edge) is tested each time (`again`).
     """
+    vertices, triangles = mesh
+    x, y, z = points
+    state, home, again, doubtful = candidates
     n_chosen = 0
     t = 0
     for i in range(x.size):
@@ -101,7 +119,6 @@ def densify(
     limits: Limits,
     rounds: int,
     doubt: Doubt,
-    stop: Callable[[], bool] | None = None,
 ) -> tuple[npt.NDArray[np.bool_], int]:
     """Batch rounds until nothing passes any more, or `rounds` of them.
 
@@ -120,8 +137,6 @@ def densify(
         0: until nothing passes.
     doubt : Doubt
         Grows by the candidates whose decision could change with points outside the window.
-    stop : callable, optional
-        Asked after each round.
 
     Returns
     -------
@@ -130,43 +145,25 @@ def densify(
         How many were run.
     """
     home = np.full(x.size, -1, np.int32)
-    again = np.zeros(x.size, np.bool_)
     doubtful = np.zeros(x.size, np.bool_)
+    candidates = _Candidates(state, home, np.zeros(x.size, np.bool_), doubtful)
     room = np.empty(x.size, np.int32)
     stamp = 0
     while rounds == 0 or stamp < rounds:
         stamp += 1
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, int(tin.counters[N_TRIANGLES]))
-        n = _test_round(
-            tin.vertex_array,
-            tin.triangle_array,
-            x,
-            y,
-            z,
-            state,
-            home,
-            again,
-            doubtful,
-            in_doubt,
-            limits,
-            stamp,
-            room,
-        )
+        n = _test_round(tin.mesh, Xyz(x, y, z), candidates, in_doubt, limits, stamp, room)
         spread = doubt.add_points(x, y, doubtful)
         if n == 0 and not spread:
             break
         chosen = room[:n]
         state[chosen] = VERTEX
         _insert_points(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, home, chosen, stamp)
-        if stop is not None and stop():
-            break
     return doubtful, stamp
 
 
 def densify_seeds(
-    x: Int32,
-    y: Int32,
-    z: Int32,
+    points: Xyz,
     outlier: npt.NDArray[np.bool_],
     seed_cells: Cells,
     limits: Limits,
@@ -178,8 +175,8 @@ def densify_seeds(
 
     Parameters
     ----------
-    x, y, z : int32 [n]
-        Candidates, local counts; neighbours in the array near each other; at least one is no outlier.
+    points : Xyz
+        Candidates; neighbours in the arrays near each other; at least one is no outlier.
     outlier : bool [n]
         Neither seeds nor vertices.
     seed_cells : Cells
@@ -198,6 +195,7 @@ def densify_seeds(
     rounds : int
         How many were run.
     """
+    x, y, z = points
     doubt = Doubt(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
     seeds = choose_seeds(x, y, z, ~outlier, seed_cells, doubt)
     state = np.where(outlier, np.uint8(REFUSED), np.uint8(WAITING)).astype(np.uint8)

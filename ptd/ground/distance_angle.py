@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32
+from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
 from ptd.ground.certificates import Doubt, UInt8
 from ptd.ground.criteria import across, facet_measures
 from ptd.kernel import kernel
 from ptd.tin.circles import Rule, facet_passes
 from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import N_TRIANGLES, Int32Array
+from ptd.tin.layout import N_TRIANGLES, Int32Array, Mesh
 from ptd.tin.location import coincident_vertex, locate
 from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
@@ -44,6 +44,31 @@ class Bins(NamedTuple):
     distances: int
     angle_rad: float
     angles: int
+
+
+class Tested(NamedTuple):
+    """What points are tested against.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    usable : bool [triangles]
+        Facets whose circumcircles are not too wide.
+    in_doubt : uint8 [triangles]
+        See `ptd.ground.certificates.Doubt.triangles`.
+    locator : Locator
+    z_ratio : float
+        Horizontal counts in one vertical count.
+    largest : bool
+        See `Trial`.
+    """
+
+    mesh: Mesh
+    usable: Bool
+    in_doubt: UInt8
+    locator: Locator
+    z_ratio: float
+    largest: bool
 
 
 @kernel
@@ -91,10 +116,11 @@ def _owner(
 
 @kernel
 def _test(
-    vertices: Int32Array, triangles: Int32Array, usable: Bool, locator: Locator,
-    x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, near: Bool, distance: float, sine: float,
-    z_ratio: float, largest: bool, passed: Bool, doubtful: Bool,
-) -> None:  # fmt: skip
+    tested: Tested, points: Xyz, which: Bool, near: Bool, distance: float, sine: float
+) -> tuple[Bool, Bool]:
+    (vertices, triangles), usable, in_doubt, locator, z_ratio, largest = tested
+    x, y, z = points
+    passed, doubtful = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
     for i in range(x.size):
         if not which[i]:
             continue
@@ -109,14 +135,13 @@ def _test(
         if owner >= 0:
             off, corner = _gauge(vertices, triangles, owner, x[i], y[i], z[i], z_ratio, largest)
             passed[i] = off <= distance and off <= corner * sine
+    return passed, doubtful
 
 
 @kernel
-def _count(
-    vertices: Int32Array, triangles: Int32Array, usable: Bool, locator: Locator,
-    x: Int32, y: Int32, z: Int32, which: Bool, in_doubt: UInt8, z_ratio: float, largest: bool, distance: float,
-    angle: float, counts: Int64,
-) -> None:  # fmt: skip
+def _count(tested: Tested, points: Xyz, which: Bool, distance: float, angle: float, counts: Int64) -> None:
+    (vertices, triangles), usable, in_doubt, locator, z_ratio, largest = tested
+    x, y, z = points
     for i in range(x.size):
         if not which[i]:
             continue
@@ -164,7 +189,9 @@ class Trial:
         if doubt is not None:
             self.in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, n)
         if n:
-            self._locator = Locator.of(tin)
+            self._tested = Tested(
+                tin.mesh, self.usable, self.in_doubt, Locator.of(tin), scale.z_ratio, largest
+            )
 
     def test(
         self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: Doubt
@@ -181,25 +208,17 @@ class Trial:
         doubt : Doubt
             That of the TIN, or as it grew later.
         """
-        passed, doubtful = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
         near = np.zeros(x.size, np.bool_)
         near[which] = doubt.near(x[which], y[which], 2.0 * self.radius)
         if not self.usable.size:
-            return passed, near
-        _test(
-            self.tin.vertex_array, self.tin.triangle_array, self.usable, self._locator, x, y, z, which,
-            self.in_doubt, near, self.scale.counts(threshold.distance_m), math.sin(threshold.angle_rad),
-            self.scale.z_ratio, self.largest, passed, doubtful,
-        )  # fmt: skip
-        return passed, doubtful
+            return np.zeros(x.size, np.bool_), near
+        distance, sine = self.scale.counts(threshold.distance_m), math.sin(threshold.angle_rad)
+        return _test(self._tested, Xyz(x, y, z), which, near, distance, sine)
 
     def count(self, x: Int32, y: Int32, z: Int32, which: Bool, bins: Bins) -> Int64:
         """Distances and smallest angles of the chosen points off the vertices: int64 [distances, angles]."""
         counts = np.zeros((bins.distances, bins.angles), np.int64)
         if self.usable.size:
-            _count(
-                self.tin.vertex_array, self.tin.triangle_array, self.usable, self._locator, x, y, z, which,
-                self.in_doubt, self.scale.z_ratio, self.largest, self.scale.counts(bins.distance_m), bins.angle_rad,
-                counts,
-            )  # fmt: skip
+            distance = self.scale.counts(bins.distance_m)
+            _count(self._tested, Xyz(x, y, z), which, distance, bins.angle_rad, counts)
         return counts

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, Int32
+from ptd.cells import CellIndex, Int32, Xyz
 from ptd.frame import Cells
 from ptd.ground.certificates import UInt8
 from ptd.ground.criteria import Limits, across, facet_measures, judge
 from ptd.kernel import kernel
 from ptd.passes import Points
-from ptd.tin.layout import N_TRIANGLES, Int32Array, is_ghost
+from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.location import coincident_vertex, locate
 from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
@@ -59,6 +60,30 @@ def is_terrain(
     return passed, mirrored or beside != t, doubtful or unsure
 
 
+class GroundRule(NamedTuple):
+    """When a point is ground, against the finished TIN (`label_points`).
+
+    Attributes
+    ----------
+    limits : Limits
+    floor : float
+        Horizontal counts.
+    vertices_only : bool
+        Without a last pass: only what lies on a vertex, at its height, is ground.
+    heights_only : bool
+        Ground is what lies no more than ``floor + per_slope * slope`` (slope of the facet; on a vertex the floor) above
+        or below the TIN, measured upright, whatever its angle.
+    per_slope : float
+        Horizontal counts.
+    """
+
+    limits: Limits
+    floor: float
+    vertices_only: bool = False
+    heights_only: bool = False
+    per_slope: float = 0.0
+
+
 @kernel
 def _is_near(
     vertices: Int32Array,
@@ -68,9 +93,7 @@ def _is_near(
     y: int,
     z: int,
     in_doubt: UInt8,
-    limits: Limits,
-    floor: float,
-    per_slope: float,
+    rule: GroundRule,
 ) -> tuple[bool, bool]:
     """Whether a point in triangle t, which may be a ghost, lies near it in height, and whether that is doubtful."""
     doubtful = in_doubt[t] != 0
@@ -78,59 +101,40 @@ def _is_near(
         return False, doubtful
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
-        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, doubtful
+        return abs(float(z - vertices[4 * v + 2])) * rule.limits.z_ratio <= rule.floor, doubtful
     doubtful = doubtful or in_doubt[across(vertices, triangles, t, x, y)] != 0
-    distance, _nearest, cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
+    distance, _nearest, cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, rule.limits.z_ratio)
     # The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
-    return abs(distance) <= floor * math.sqrt(cos2) + per_slope * math.sqrt(max(1.0 - cos2, 0.0)), doubtful
+    allowed = rule.floor * math.sqrt(cos2) + rule.per_slope * math.sqrt(max(1.0 - cos2, 0.0))
+    return abs(distance) <= allowed, doubtful
 
 
 @kernel
 def _label(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    x: Int32,
-    y: Int32,
-    z: Int32,
-    locator: Locator,
-    in_doubt: UInt8,
-    limits: Limits,
-    floor: float,
-    vertices_only: bool,
-    heights_only: bool,
-    per_slope: float,
-    labels: UInt8,
-    marked: npt.NDArray[np.bool_],
-) -> None:
+    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule
+) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    vertices, triangles = mesh
+    x, y, z = points
+    labels, marked = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
     for i in range(x.size):
         t = locate(vertices, triangles, x[i], y[i], start_near(locator, x[i], y[i]))
-        if vertices_only and (
+        if rule.vertices_only and (
             is_ghost(triangles, t) or coincident_vertex(vertices, triangles, x[i], y[i], t) < 0
         ):
             labels[i], marked[i] = UNCLASSIFIED, in_doubt[t] != 0
             continue
-        if heights_only:
-            terrain, marked[i] = _is_near(
-                vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor, per_slope
-            )
+        if rule.heights_only:
+            terrain, marked[i] = _is_near(vertices, triangles, t, x[i], y[i], z[i], in_doubt, rule)
         else:
             terrain, _elsewhere, marked[i] = is_terrain(
-                vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
+                vertices, triangles, t, x[i], y[i], z[i], in_doubt, rule.limits, rule.floor
             )
         labels[i] = GROUND if terrain else UNCLASSIFIED
+    return labels, marked
 
 
 def label_points(
-    tin: Tin,
-    locator: Locator,
-    x: Int32,
-    y: Int32,
-    z: Int32,
-    in_doubt: UInt8,
-    limits: Limits,
-    floor: float,
-    vertices_only: bool = False,
-    per_slope: float | None = None,
+    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Ground or not, against the finished TIN.
 
@@ -143,18 +147,11 @@ def label_points(
     tin : Tin
     locator : Locator
         Of this TIN as it is now.
-    x, y, z : int32 [n]
-        Local counts, in any order (fast where neighbours follow each other).
+    points : Xyz
+        In any order (fast where neighbours follow each other).
     in_doubt : uint8 [triangles]
         See `ptd.ground.certificates.Doubt.triangles`.
-    limits : Limits
-    floor : float
-        Horizontal counts.
-    vertices_only : bool
-        Without a last pass: only what lies on a vertex, at its height, is ground.
-    per_slope : float, optional
-        Ground is what lies no more than ``floor + per_slope * slope`` (horizontal counts, slope of the facet; on a
-        vertex the floor) above or below the TIN, measured upright, whatever its angle.
+    rule : GroundRule
 
     Returns
     -------
@@ -163,14 +160,9 @@ def label_points(
     marked : bool [n]
         Points outside the window could change the label.
     """
-    labels = np.full(x.size, UNCLASSIFIED, np.uint8)
-    marked = np.zeros(x.size, np.bool_)
-    if x.size and int(tin.counters[N_TRIANGLES]):
-        _label(
-            tin.vertex_array, tin.triangle_array, x, y, z, locator, in_doubt, limits, floor,
-            vertices_only, per_slope is not None, per_slope or 0.0, labels, marked,
-        )  # fmt: skip
-    return labels, marked
+    if points.x.size and tin.n_triangles:
+        return _label(tin.mesh, locator, points, in_doubt, rule)
+    return np.full(points.x.size, UNCLASSIFIED, np.uint8), np.zeros(points.x.size, np.bool_)
 
 
 class LowNoise:
@@ -208,36 +200,18 @@ class Terrain:
     in_doubt : uint8 [triangles]
         See `ptd.ground.certificates.Doubt.triangles`.
     low : LowNoise
-    limits : Limits
-    floor : float
-        See `label_points`.
-    vertices_only : bool
-    per_slope : float, optional
-        See `label_points`.
+    rule : GroundRule
     """
 
-    def __init__(
-        self,
-        tin: Tin,
-        in_doubt: UInt8,
-        low: LowNoise,
-        limits: Limits,
-        floor: float,
-        vertices_only: bool = False,
-        per_slope: float | None = None,
-    ) -> None:
-        self.tin, self._in_doubt, self._low, self._limits = tin, in_doubt, low, limits
-        self._floor, self._vertices_only, self._per_slope = floor, vertices_only, per_slope
+    def __init__(self, tin: Tin, in_doubt: UInt8, low: LowNoise, rule: GroundRule) -> None:
+        self.tin, self._in_doubt, self._low, self._rule = tin, in_doubt, low, rule
         self._locator = Locator.of(tin)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """ASPRS classes (uint8 [n]) and marks (bool [n]) of points, in any order."""
-        x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
-        labels, marked = label_points(
-            self.tin, self._locator, x, y, z, self._in_doubt, self._limits, self._floor,
-            self._vertices_only, self._per_slope,
-        )  # fmt: skip
-        labels[(labels != GROUND) & self._low.holds(x, y, z)] = LOW_NOISE
+        xyz = Xyz(*(np.ascontiguousarray(c) for c in points.xyz))
+        labels, marked = label_points(self.tin, self._locator, xyz, self._in_doubt, self._rule)
+        labels[(labels != GROUND) & self._low.holds(*xyz)] = LOW_NOISE
         return labels, marked
 
 

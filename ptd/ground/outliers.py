@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, Int32, Int64, find_slot
+from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, find_slot
 from ptd.frame import Cells, Scale
 from ptd.kernel import kernel
 
@@ -16,24 +17,31 @@ MIN_NEIGHBOURS = 3
 """Points far away in height that it takes to call a point an outlier: two prove nothing."""
 
 
+class _Search(NamedTuple):
+    """What is looked for, in counts; see `low_outliers`.
+
+    Attributes
+    ----------
+    radius, depth : float
+    group : int
+    both : bool
+        What lies far below a point is as far from it as what lies far above; else it counts as near.
+    """
+
+    radius: float
+    depth: float
+    group: int
+    both: bool
+
+
 @kernel
 def _outliers(
-    x: Int32,
-    y: Int32,
-    z: Int32,
-    table: CellTable,
-    point_columns: Int64,
-    point_rows: Int64,
-    reach: int,
-    radius: float,
-    depth: float,
-    group: int,
-    both: bool,
+    points: Xyz, table: CellTable, places: tuple[Int64, Int64], reach: int, search: _Search
 ) -> npt.NDArray[np.bool_]:
-    """Kernel of the two searches: cells are searched ring by ring, so ordinary ground is done after a few points.
-
-    ``both``: what lies far below a point is as far from it as what lies far above; else it counts as near.
-    """
+    """Kernel of the two searches: cells are searched ring by ring, so ordinary ground is done after a few points."""
+    x, y, z = points
+    point_columns, point_rows = places
+    radius, depth, group, both = search
     slots, keys, starts, order, width, height = table
     out = np.zeros(x.size, np.bool_)
     limit2 = radius * radius
@@ -124,10 +132,8 @@ def _search(
     x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float, group: int, both: bool
 ) -> npt.NDArray[np.bool_]:
     index = CellIndex(x, y, Cells.of(1.0, scale))
-    return _outliers(
-        x, y, z, index.table, *index.places(x, y),
-        int(np.ceil(radius_m)) + 1, scale.counts(radius_m), scale.counts_z(depth_m), group, both,
-    )  # fmt: skip
+    search = _Search(scale.counts(radius_m), scale.counts_z(depth_m), group, both)
+    return _outliers(Xyz(x, y, z), index.table, index.places(x, y), int(np.ceil(radius_m)) + 1, search)
 
 
 def search_margin(radius_m: float, group: int, cell_m: float) -> int:

@@ -23,12 +23,12 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Int64, cell_keys, occupied
+from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
 from ptd.frame import Cells, Scale, Window
 from ptd.kernel import kernel
 
@@ -79,12 +79,35 @@ class Roughness:
     smoothest_m: float | None = None
 
 
+class _Moments(NamedTuple):
+    """Sums over the points of each cell.
+
+    Attributes
+    ----------
+    low, high : int64 [cells]
+        Lowest and highest point, counts.
+    sums : int64 [cells, 4, 10]
+        Moments of each quarter: n, x, y, z, xx, xy, yy, xz, yz, zz from the cell's corner and lowest point.
+    first : int64 [cells]
+        The southernmost point, of those the westernmost.
+    """
+
+    low: Int64
+    high: Int64
+    sums: Int64
+    first: Int64
+
+
 @kernel
 def _sums(
-    x: Int32, y: Int32, z: Int32, slot: Int64, corner_x: Int64, corner_y: Int64, p: int, q: int, tallest: float,
-    low: Int64, high: Int64, sums: Int64, first: Int64,
-) -> None:  # fmt: skip
-    """Moments of each quarter of each cell: n, x, y, z, xx, xy, yy, xz, yz, zz from its corner and lowest point."""
+    points: Xyz, slot: Int64, corners: tuple[Int64, Int64], side: tuple[int, int], tallest: float
+) -> _Moments:
+    """Moments of cells of side p / q counts; of those taller than a limit n and z alone."""
+    x, y, z = points
+    corner_x, corner_y = corners
+    p, q = side
+    low, high = np.full(corner_x.size, 2**40, np.int64), np.full(corner_x.size, -(2**40), np.int64)
+    sums, first = np.zeros((corner_x.size, 4, 10), np.int64), np.full(corner_x.size, -1, np.int64)
     for i in range(x.size):
         k = slot[i]
         low[k], high[k] = min(low[k], np.int64(z[i])), max(high[k], np.int64(z[i]))
@@ -108,6 +131,7 @@ def _sums(
         s[7] += dx * dz
         s[8] += dy * dz
         s[9] += dz * dz
+    return _Moments(low, high, sums, first)
 
 
 @kernel
@@ -174,10 +198,17 @@ def _quarters(sums: Int64, z_ratio: float) -> Float64:
 
 @kernel
 def _drop_bent(
-    x: Int32, y: Int32, z: Int32, slot: Int64, corner_x: Int64, corner_y: Int64, low: Int64, planes: Float64,
-    noise: Float64, z_ratio: float,
-) -> None:  # fmt: skip
+    points: Xyz,
+    slot: Int64,
+    corners: tuple[Int64, Int64],
+    low: Int64,
+    planes: Float64,
+    noise: Float64,
+    z_ratio: float,
+) -> None:
     """Refuse the patches one of whose points lies beyond `LARGEST_RESIDUAL` times the noise."""
+    x, y, z = points
+    corner_x, corner_y = corners
     worst = np.zeros(noise.size)
     for i in range(x.size):
         k = slot[i]
@@ -193,10 +224,19 @@ def _drop_bent(
 
 @kernel
 def _drop_raised(
-    keys: Int64, width: int, corner_x: Int64, corner_y: Int64, low: Int64, sums: Int64, planes: Float64,
-    noise: Float64, side: float, drop: float, z_ratio: float,
-) -> npt.NDArray[np.bool_]:  # fmt: skip
+    keys: Int64,
+    width: int,
+    corners: tuple[Int64, Int64],
+    moments: _Moments,
+    planes: Float64,
+    noise: Float64,
+    side: float,
+    drop: float,
+    z_ratio: float,
+) -> npt.NDArray[np.bool_]:
     """Which patches are ground: no cell with enough points around them has its mean far below their plane."""
+    corner_x, corner_y = corners
+    low, sums = moments.low, moments.sums
     ground = noise >= 0.0
     for k in range(keys.size):
         if not ground[k]:
@@ -235,7 +275,8 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
         ``points``, ``cells`` (of `PATCH_M`, with any point), ``full`` (with at least `MIN_POINTS`), ``patches`` and
         ``quarters``: [[bin, count], ...] with bins of `BIN_M`.
     """
-    x, y, z = (np.ascontiguousarray(c) for c in xyz)
+    points = Xyz(*(np.ascontiguousarray(c) for c in xyz))
+    x, y = points.x, points.y
     if x.size == 0:
         return {"points": 0, "cells": 0, "full": 0, "patches": [], "quarters": []}
     cells = Cells.of(PATCH_M, scale)
@@ -247,14 +288,13 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
     corner_x = np.array([cells.west(int(k) % width + col0) for k in keys], np.int64)
     corner_y = np.array([cells.south(int(k) // width + row0) for k in keys], np.int64)
-    low, high = np.full(keys.size, 2**40, np.int64), np.full(keys.size, -(2**40), np.int64)
-    sums, first = np.zeros((keys.size, 4, 10), np.int64), np.full(keys.size, -1, np.int64)
-    tallest, ratio = scale.counts_z(TALLEST_M), scale.z_ratio
-    _sums(x, y, z, slot, corner_x, corner_y, cells.p, cells.q, tallest, low, high, sums, first)
+    corners, tallest, ratio = (corner_x, corner_y), scale.counts_z(TALLEST_M), scale.z_ratio
+    moments = _sums(points, slot, corners, (cells.p, cells.q), tallest)
+    low, high, sums, first = moments
     planes, noise = _patches(sums, low, high, tallest, scale.counts(LARGEST_SIGMA_M), ratio)
-    _drop_bent(x, y, z, slot, corner_x, corner_y, low, planes, noise, ratio)
+    _drop_bent(points, slot, corners, low, planes, noise, ratio)
     side, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
-    ground = _drop_raised(keys, width, corner_x, corner_y, low, sums, planes, noise, side, drop, ratio)
+    ground = _drop_raised(keys, width, corners, moments, planes, noise, side, drop, ratio)
     own = inside[first]
     quarters = _quarters(sums[own], ratio)
     return {

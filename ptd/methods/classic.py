@@ -40,10 +40,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import cell_keys, lowest_per_cell
+from ptd.cells import Xyz, cell_keys, lowest_per_cell
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.densify import densify_seeds
-from ptd.ground.labelling import LowNoise, Terrain, unlabelled
+from ptd.ground.labelling import GroundRule, LowNoise, Terrain, unlabelled
 from ptd.ground.outliers import low_outliers
 from ptd.methods.progressive import Progressive
 from ptd.params import parameter
@@ -116,7 +116,7 @@ class ClassicModel(Model):
         known = window.inside(self.cells, p.margin_cells)
         seed_cells = Cells.of(p.max_building_size_m, scale)
         tin, in_doubt, rounds = densify_seeds(
-            x, y, z, outlier, seed_cells, self.limits, p.rounds, known, scale
+            Xyz(x, y, z), outlier, seed_cells, self.limits, p.rounds, known, scale
         )
         low = LowNoise(x[outlier], y[outlier], z[outlier], self.cells)
         self.terrain = self._terrain(tin, in_doubt, low)
@@ -126,7 +126,7 @@ class ClassicModel(Model):
         """How the finished TIN labels."""
         p = self.params
         floor = self.scale.counts(p.label_floor_m) if p.label_pass else 0.0
-        return Terrain(tin, in_doubt, low, self.limits, floor, vertices_only=not p.label_pass)
+        return Terrain(tin, in_doubt, low, GroundRule(self.limits, floor, vertices_only=not p.label_pass))
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Labels and marks of points of the window."""

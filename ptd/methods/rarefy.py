@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 from ptd.frame import Scale, Window
 from ptd.ground.certificates import UInt8
-from ptd.ground.labelling import LowNoise, Terrain
+from ptd.ground.labelling import GroundRule, LowNoise, Terrain
 from ptd.methods.classic import Classic, ClassicModel
 from ptd.params import parameter
 from ptd.passes import Method, Pass, Points, State
@@ -72,7 +72,8 @@ class RarefyModel(ClassicModel):
     def _terrain(self, tin: Tin, in_doubt: UInt8, low: LowNoise) -> Terrain:
         p = self.params
         floor = self.scale.counts(p.label_floor_m) if p.label_pass else 0.0
-        return Terrain(tin, in_doubt, low, self.limits, floor, not p.label_pass, per_slope=0.0)
+        rule = GroundRule(self.limits, floor, vertices_only=not p.label_pass, heights_only=True)
+        return Terrain(tin, in_doubt, low, rule)
 
 
 METHOD = Method(

@@ -21,6 +21,8 @@ triangle with the vertices b, a, ghost in cyclic order, so each half-edge has a 
 all collinear, make 2 n - 2 triangles: 16 + 64 = 80 bytes a vertex.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -40,6 +42,7 @@ __all__ = [
     "STAMP",
     "VERTEX",
     "Int32Array",
+    "Mesh",
     "counters_array",
     "is_ghost",
     "next_edge",
@@ -68,6 +71,13 @@ EVENT_FULL = 3  # no room for another vertex; nothing changed
 
 MAX_VERTICES = 2**27  # half-edge numbers have to fit int32
 _SCRATCH = 4 * 256
+
+
+class Mesh(NamedTuple):
+    """The arrays of a TIN, as one argument of kernels that only read it."""
+
+    vertices: Int32Array
+    triangles: Int32Array
 
 
 def vertices_array(max_vertices: int) -> Int32Array:

@@ -14,6 +14,7 @@ from ptd.tin.layout import (
     N_TRIANGLES,
     N_VERTICES,
     Int32Array,
+    Mesh,
     counters_array,
     is_ghost,
     triangle_vertices,
@@ -100,6 +101,11 @@ class Tin:
             tin._cover(int(px.min()), int(py.min()), int(px.max()), int(py.max()))
             bulk.build(tin.vertex_array, tin.triangle_array, tin.counters, px, py, pz, stamp)
         return tin
+
+    @property
+    def mesh(self) -> Mesh:
+        """Its arrays as they are now, for kernels that only read them."""
+        return Mesh(self.vertex_array, self.triangle_array)
 
     @property
     def n_vertices(self) -> int:

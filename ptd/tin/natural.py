@@ -133,22 +133,21 @@ def _stolen_area(
     triangles: Int32Array,
     centres: Float64Array,
     firsts: Int32Array,
-    edge: int,
-    last_edge: int,
-    x: int,
-    y: int,
-    scale: int,
-    before_x: float,
-    before_y: float,
-    after_x: float,
-    after_y: float,
+    edges: tuple[int, int],
+    position: tuple[int, int, int],
+    before: tuple[float, float],
+    after: tuple[float, float],
 ) -> float:
-    """Twice the area that the position takes from the cell of the vertex where the half-edge `edge` starts.
+    """Twice the area that the position (x, y, scale) takes from the cell of a vertex on its rim.
 
-    Its corners are the new centre on the rim edge that ends in the vertex (`last_edge`, before), the one on
-    `edge` (after), and the old centres of the triangles around the vertex from `edge` back to `last_edge`.
-    Relative to the centre before, so that far centres cancel little.
+    Two edges of the rim meet in the vertex: the first of `edges` starts there, the second ends there. The corners of
+    the area are the new centres on the second (before) and on the first (after), and the old centres of the triangles
+    around the vertex from the first back to the second. Relative to the centre before, so that far centres cancel
+    little.
     """
+    edge, last_edge = edges
+    x, y, scale = position
+    (before_x, before_y), (after_x, after_y) = before, after
     ux, uy = after_x - before_x, after_y - before_y
     total = 0.0
     while True:
@@ -173,11 +172,10 @@ def _position_height(
     rim: Int32Array,
     n: int,
     owner: int,
-    x: int,
-    y: int,
-    scale: int,
+    position: tuple[int, int, int],
 ) -> float:
-    """Sibson's interpolant at a position strictly inside the hull; `rim` is what `_rim` found."""
+    """Sibson's interpolant at a position (x, y, scale) strictly inside the hull; `rim` is what `_rim` found."""
+    x, y, scale = position
     plane = facet_plane(vertices, triangles, owner)
     base = height_on(plane, x, y, scale)
     start = 0
@@ -189,34 +187,19 @@ def _position_height(
     last = wide(rim[HEADER + (start + n - 1) % n])
     ax, ay = _offset(vertices, wide(triangles[next_edge(last) + 4]), x, y, scale)
     bx, by = _offset(vertices, wide(triangles[previous_edge(last) + 4]), x, y, scale)
-    before_x, before_y = _centre(ax, ay, bx, by)
+    before = _centre(ax, ay, bx, by)
     weights, rises = 0.0, 0.0
     for i in range(n):
         edge = wide(rim[HEADER + (start + i) % n])
         v = wide(triangles[next_edge(edge) + 4])
         ax, ay = bx, by
         bx, by = _offset(vertices, wide(triangles[previous_edge(edge) + 4]), x, y, scale)
-        after_x, after_y = _centre(ax, ay, bx, by)
-        weight = _stolen_area(
-            vertices,
-            triangles,
-            centres,
-            firsts,
-            edge,
-            last,
-            x,
-            y,
-            scale,
-            before_x,
-            before_y,
-            after_x,
-            after_y,
-        )
+        after = _centre(ax, ay, bx, by)
+        weight = _stolen_area(vertices, triangles, centres, firsts, (edge, last), position, before, after)
         below = height_on(plane, scale * wide(vertices[4 * v]), scale * wide(vertices[4 * v + 1]), scale)
         weights += weight
         rises += weight * (vertices[4 * v + 2] - below)
-        last = edge
-        before_x, before_y = after_x, after_y
+        last, before = edge, after
     if not (weights > 0.0 and math.isfinite(rises)):
         return base
     return base + math.floor(rises / weights * 2.0**20 + 0.5) / 2.0**20
@@ -292,7 +275,7 @@ def natural_heights(
                     marks[row, column] = 1
                 continue
             out[row, column] = _position_height(
-                vertices, triangles, centres, firsts, scratch, n, owner, x, y, scale
+                vertices, triangles, centres, firsts, scratch, n, owner, (x, y, scale)
             )
             if not unbounded(sides) and not _rim_certified(
                 vertices, triangles, scratch, n, x, y, scale, sides

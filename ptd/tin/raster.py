@@ -158,11 +158,11 @@ def _own_facet(
     marks: UInt8Array,
     box: tuple[int, int, int, int],
     lattice: Lattice,
-    rule: Rule,
-    sides: Sides,
+    judged: tuple[Rule, Sides],
 ) -> None:
     """Pixels in the box (top, bottom, left, right, inclusive) whose centre lies in real triangle `t`."""
     x0, y0, step, scale = lattice
+    rule, sides = judged
     top, bottom, left, right = box
     i, j, k = 4 * triangles[8 * t + 4], 4 * triangles[8 * t + 5], 4 * triangles[8 * t + 6]
     ax, ay = wide(vertices[i]), wide(vertices[i + 1])
@@ -272,6 +272,6 @@ def scan(
         if top > bottom:
             continue
         box = (top, bottom, left, right)
-        _own_facet(vertices, triangles, t, owners, heights, marks, box, lattice, rule, sides)
+        _own_facet(vertices, triangles, t, owners, heights, marks, box, lattice, (rule, sides))
     _own_vertices(vertices, triangles, counters, owners, heights, marks, lattice, rule, sides)
     settle_marks(marks)

@@ -62,7 +62,7 @@ from ptd.frame import Cells, Scale, Window
 from ptd.ground.blocks import blocks
 from ptd.ground.certificates import Doubt
 from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
-from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, LowNoise, Terrain
 from ptd.ground.morphology import Bool, CellRaster
 from ptd.ground.outliers import low_outliers
 from ptd.ground.roughness import Roughness
@@ -272,7 +272,8 @@ class LabelPass(LaserPass):
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
         s = settings(p, state["survey"])
         floor, per_slope = scale.counts(s.label_floor_m), scale.counts(s.label_slope_m)
-        terrain = Terrain(tin, in_doubt, noise, p.limits(scale), floor, per_slope=per_slope)
+        rule = GroundRule(p.limits(scale), floor, heights_only=True, per_slope=per_slope)
+        terrain = Terrain(tin, in_doubt, noise, rule)
         return Labels(terrain, noise, window.closed, {"vertices": tin.n_vertices})
 
 

@@ -67,7 +67,7 @@ from ptd.cells import lowest_per_cell, positions
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.certificates import Doubt
 from ptd.ground.densify import REFUSED, VERTEX, densify
-from ptd.ground.labelling import GROUND, LOW_NOISE, LowNoise, Terrain, unlabelled
+from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, LowNoise, Terrain, unlabelled
 from ptd.ground.outliers import isolated_in_height, low_outliers, search_margin
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched.on_cells import OnCells, either_way
@@ -291,7 +291,8 @@ class ChenModel(Model):
         _, rounds = densify(tin, x, y, z, state, self.limits, p.rounds, doubt)
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
         floor = scale.counts(p.label_floor_m) if p.label_pass else 0.0
-        self.terrain = Terrain(tin, in_doubt, self._low, self.limits, floor, vertices_only=not p.label_pass)
+        rule = GroundRule(self.limits, floor, vertices_only=not p.label_pass)
+        self.terrain = Terrain(tin, in_doubt, self._low, rule)
         self.stats.update(rounds=rounds, vertices=tin.n_vertices)
 
     def _noise(

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, Int32, Int64, slot_of
+from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, slot_of
 from ptd.frame import Cells, Scale
 from ptd.kernel import kernel
 
@@ -22,9 +22,16 @@ NOISE_QUANTILE = 1.65
 
 @kernel
 def _overhung(
-    x: Int32, y: Int32, z: Int32, table: CellTable, columns: Int64, rows: Int64,
-    radius: float, slope: float, noise: float, z_ratio: float,
-) -> Bool:  # fmt: skip
+    points: Xyz,
+    table: CellTable,
+    places: tuple[Int64, Int64],
+    radius: float,
+    slope: float,
+    noise: float,
+    z_ratio: float,
+) -> Bool:
+    x, y, z = points
+    columns, rows = places
     out = np.zeros(x.size, np.bool_)
     for i in range(x.size):
         for row in range(rows[i] - 1, rows[i] + 2):
@@ -69,6 +76,5 @@ def on_podium(
         return np.zeros(0, np.bool_)
     index = CellIndex(x, y, Cells.of(radius_m, scale))
     noise = NOISE_QUANTILE * math.sqrt(2.0) * scale.counts(sigma_m)
-    return _overhung(
-        x, y, z, index.table, *index.places(x, y), scale.counts(radius_m), slope, noise, scale.z_ratio
-    )
+    places, radius = index.places(x, y), scale.counts(radius_m)
+    return _overhung(Xyz(x, y, z), index.table, places, radius, slope, noise, scale.z_ratio)

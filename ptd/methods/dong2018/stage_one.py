@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from ptd.cells import Xyz
 from ptd.frame import Cells, Scale, Window
 from ptd.ground import roughness
 from ptd.ground.densify import densify_seeds
 from ptd.ground.distance_angle import Bool
-from ptd.ground.labelling import GROUND, LOW_NOISE, LowNoise, Terrain, unlabelled
+from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, LowNoise, Terrain, unlabelled
 from ptd.methods.classic import ClassicModel, thinned
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.params import Dong2018Parameters
@@ -138,9 +139,7 @@ class StageOneModel(Model):
         cells = Cells.of(cell, scale)
         known = window.inside(Cells.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)
         tin, in_doubt, rounds = densify_seeds(
-            x,
-            y,
-            z,
+            Xyz(x, y, z),
             np.zeros(x.size, np.bool_),
             Cells.of(params.max_building_size_m, scale),
             limits,
@@ -149,9 +148,8 @@ class StageOneModel(Model):
             scale,
         )
         none = np.zeros(0, np.int32)
-        self._terrain = Terrain(
-            tin, in_doubt, LowNoise(none, none, none, cells), limits, 0.0, vertices_only=True
-        )
+        rule = GroundRule(limits, 0.0, vertices_only=True)
+        self._terrain = Terrain(tin, in_doubt, LowNoise(none, none, none, cells), rule)
         self.stats.update(
             candidates=int(x.size), rounds=rounds, pit_points=int(low.sum()), vertices=tin.n_vertices
         )

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from ptd.ground.certificates import Doubt, UInt8
 from ptd.kernel import kernel
-from ptd.tin.layout import Int32Array, next_edge
+from ptd.tin.layout import Int32Array, Mesh, next_edge
 from ptd.tin.mesh import Tin
 
 Bool = npt.NDArray[np.bool_]
@@ -119,10 +119,12 @@ def _fit(rows: Float64, n: int) -> tuple[float, float, float]:
 
 @kernel
 def _statistics(
-    vertices: Int32Array, triangles: Int32Array, n_vertices: int, data: Bool, in_doubt: UInt8, length: float,
-    statistic: Float64, residual: Float64, observations: Int32Array, unsure: Bool,
-) -> None:  # fmt: skip
+    mesh: Mesh, n_vertices: int, data: Bool, in_doubt: UInt8, length: float
+) -> tuple[Float64, Float64, Int32Array, Bool]:
     """Normalised residual (0: cannot be judged), residual in vertical counts, n and doubt of each data vertex."""
+    vertices, triangles = mesh
+    statistic, residual = np.zeros(n_vertices), np.zeros(n_vertices)
+    observations, unsure = np.zeros(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
     seen = np.full(n_vertices, -1, np.int32)
     found = np.empty(n_vertices, np.int32)
     rows = np.empty((64, UNKNOWNS + 1), np.float64)
@@ -156,6 +158,7 @@ def _statistics(
         variance = squares / (m + 1 - UNKNOWNS - 1) * (1.0 - leverage)  # of equations 8 and 9
         if variance > 0.0 and 1.0 - leverage > DEPENDENT:
             statistic[v] = abs(residual[v]) / math.sqrt(variance)
+    return statistic, residual, observations, unsure
 
 
 def contradicted(
@@ -193,13 +196,11 @@ def contradicted(
     n = tin.n_vertices
     if confidence == 1.0:
         return np.zeros(n, np.bool_)
-    arrays = tin.vertex_array, tin.triangle_array
-    in_doubt = doubt.triangles(*arrays, tin.n_triangles)
-    statistic, residual = np.zeros(n), np.zeros(n)
-    observations, unsure = np.zeros(n, np.int32), np.zeros(n, np.bool_)
-    _statistics(*arrays, n, data, in_doubt, length, statistic, residual, observations, unsure)
+    in_doubt = doubt.triangles(*tin.mesh, tin.n_triangles)
+    statistic, residual, observations, unsure = _statistics(tin.mesh, n, data, in_doubt, length)
     xyz = tin.vertices
     doubt.add_points(np.ascontiguousarray(xyz[:, 0]), np.ascontiguousarray(xyz[:, 1]), unsure)
     freedom = np.maximum(observations - UNKNOWNS - 1, 1)
     limit = stdtrit(freedom, 0.5 + 0.5 * confidence)
-    return data & (statistic > limit) & (abs(residual) > least)
+    found: Bool = data & (statistic > limit) & (abs(residual) > least)
+    return found

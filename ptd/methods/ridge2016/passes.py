@@ -14,7 +14,7 @@ from ptd.cells import lowest_per_cell
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.certificates import Doubt
 from ptd.ground.distance_angle import Bool
-from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LowNoise, Terrain, unlabelled
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, LowNoise, Terrain, unlabelled
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.seeds import Prepared
@@ -182,7 +182,9 @@ class TerrainModel(Model):
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
         none = np.zeros(0, np.int32)
         low = LowNoise(none, none, none, thin)
-        self._terrain = Terrain(tin, in_doubt, low, params.limits(scale), scale.counts(params.label_floor_m))
+        self._terrain = Terrain(
+            tin, in_doubt, low, GroundRule(params.limits(scale), scale.counts(params.label_floor_m))
+        )
         self.stats.update(vertices=tin.n_vertices)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
@@ -217,7 +219,7 @@ class RidgeModel(Model):
             return
         prepared = Prepared(params, points.columns(), window, scale)
         for done, (tin, in_doubt, _) in enumerate(islice(prepared.rounds(), params.rounds), 1):
-            self.terrain = Terrain(tin, in_doubt, prepared.low, prepared.limits, prepared.floor)
+            self.terrain = Terrain(tin, in_doubt, prepared.low, GroundRule(prepared.limits, prepared.floor))
             self.stats.update(prepared.counts, rounds=done, vertices=tin.n_vertices)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:

@@ -7,18 +7,19 @@ so between the seeds of both slopes there are facets with long sides that their 
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
 from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32
+from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
 from ptd.ground.certificates import Doubt, UInt8
 from ptd.kernel import kernel, wide
 from ptd.methods.ridge2016.sorted_cells import Raster, Stacks, lowest_within
 from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Int32Array, is_ghost
+from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.mesh import Tin
 
 Bool = npt.NDArray[np.bool_]
@@ -169,11 +170,20 @@ def ridge_facet(
 
 @kernel
 def _ridge_points(
-    vertices: Int32Array, triangles: Int32Array, n: int, data: Bool, rule: RidgeRule, in_doubt: UInt8,
-    x: Int32, y: Int32, z: Int32, raster: Raster, west: int, south: int, east: int, north: int,
-    points: Int32, doubtful: Bool, chosen: Bool,
-) -> int:  # fmt: skip
-    """Write the point of each facet that is or may be a ridge; whether it is, and whether that is certain."""
+    mesh: Mesh,
+    n: int,
+    data: Bool,
+    rule: RidgeRule,
+    in_doubt: UInt8,
+    stacks: Xyz,
+    raster: Raster,
+    known: tuple[int, int, int, int],
+) -> tuple[Int32, Bool, Bool]:
+    """The point of each facet that is or may be a ridge; whether that is uncertain, and whether it is a ridge."""
+    vertices, triangles = mesh
+    x, y, z = stacks
+    west, south, east, north = known
+    points, doubtful, chosen = np.empty(n, np.int32), np.empty(n, np.bool_), np.empty(n, np.bool_)
     found = np.empty(AROUND, np.int32)
     m = 0
     for t in range(n):
@@ -199,7 +209,7 @@ def _ridge_points(
         inside = inside and cy - rule.radius >= south and cy + rule.radius < north
         points[m], doubtful[m], chosen[m] = i, unsure or not inside, ridge
         m += 1
-    return m
+    return points[:m].copy(), doubtful[:m].copy(), chosen[:m].copy()
 
 
 def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: Doubt) -> Int32:
@@ -221,14 +231,9 @@ def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: D
     n = tin.n_triangles
     arrays = tin.vertex_array, tin.triangle_array
     in_doubt = doubt.triangles(*arrays, n)
-    points, doubtful, chosen = np.empty(n, np.int32), np.empty(n, np.bool_), np.empty(n, np.bool_)
-    sides = doubt.known
-    m = _ridge_points(
-        *arrays, n, data, rule, in_doubt, stacks.x, stacks.y, stacks.z, stacks.raster,
-        sides.west, sides.south, sides.east, sides.north, points, doubtful, chosen,
-    )  # fmt: skip
-    points = points[:m]
+    xyz, known = Xyz(stacks.x, stacks.y, stacks.z), astuple(doubt.known)
+    points, doubtful, chosen = _ridge_points(tin.mesh, n, data, rule, in_doubt, xyz, stacks.raster, known)
     doubt.add_triangles(*arrays, in_doubt, rule.radius)
-    doubt.add_points(stacks.x[points], stacks.y[points], doubtful[:m])
-    found: Int32 = np.unique(points[chosen[:m]])
+    doubt.add_points(stacks.x[points], stacks.y[points], doubtful)
+    found: Int32 = np.unique(points[chosen])
     return found

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, Int64
+from ptd.cells import Int32, Int64, Xyz
 from ptd.ground.certificates import Doubt, UInt8
 from ptd.ground.criteria import Limits, accepts
 from ptd.ground.labelling import is_terrain
 from ptd.kernel import kernel, wide
 from ptd.methods.ridge2016.sorted_cells import Stacks
 from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Int32Array, is_ghost
+from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
@@ -28,15 +28,17 @@ Bool = npt.NDArray[np.bool_]
 
 @kernel
 def _test_stacks(
-    vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, z: Int32, starts: Int64,
-    limits: Limits, in_doubt: UInt8, vertex: Bool, doubtful: Bool, kept: Bool,
-) -> None:  # fmt: skip
-    """One round: `kept` receives the lowest terrain point of each cell.
+    mesh: Mesh, points: Xyz, starts: Int64, limits: Limits, in_doubt: UInt8, vertex: Bool, doubtful: Bool
+) -> Bool:
+    """One round: which points are the lowest terrain points of their cells.
 
     A cell is tested from its lowest point up until one belongs to the terrain for certain: what lies higher cannot
     become the cell's vertex. What beyond the window may become it is added to `doubtful`: the points below that
     one whose test is not certain, and where there are any, that one as well.
     """
+    vertices, triangles = mesh
+    x, y, z = points
+    kept = np.zeros(x.size, np.bool_)
     t = 0
     for k in range(starts.size - 1):
         lowest = -1
@@ -60,6 +62,7 @@ def _test_stacks(
                 break
         if lowest >= 0:
             kept[lowest] = True
+    return kept
 
 
 @kernel
@@ -82,25 +85,47 @@ def _same_corners(
     return True
 
 
-@kernel
-def _tally(
-    before: Int32Array, before_triangles: Int32Array, vertices: Int32Array, triangles: Int32Array,
-    x: Int32, y: Int32, z: Int32, in_doubt: UInt8, limits: Limits, floor: float,
-    now: Int32, home: Int32, again: Bool, terrain: Bool,
-) -> tuple[int, int]:  # fmt: skip
-    """Label the points whose triangle changed; how many became terrain, and of how many the label is not certain.
+class _Labelled(NamedTuple):
+    """What is known of each point from the last TIN.
 
-    Parameters
+    Attributes
     ----------
-    before, before_triangles
-        The TIN in which `home` lies.
-    now : int32 [triangles before]
-        -1; receives the number that a triangle has now, -2 for those found changed.
     home : int32 [n]
         Triangle of each point, -1 at first.
     again : bool [n]
         The label rests on other triangles as well.
+    terrain : bool [n]
     """
+
+    home: Int32
+    again: Bool
+    terrain: Bool
+
+
+@kernel
+def _tally(
+    last: Mesh,
+    mesh: Mesh,
+    points: Xyz,
+    in_doubt: UInt8,
+    limits: Limits,
+    floor: float,
+    now: Int32,
+    labelled: _Labelled,
+) -> tuple[int, int]:
+    """Label the points whose triangle changed; how many became terrain, and of how many the label is not certain.
+
+    Parameters
+    ----------
+    last : Mesh
+        The TIN in which the points' homes lie.
+    now : int32 [triangles of that]
+        -1; receives the number that a triangle has now, -2 for those found changed.
+    """
+    before, before_triangles = last
+    vertices, triangles = mesh
+    x, y, z = points
+    home, again, terrain = labelled
     n_gained = n_unsure = t = 0
     for i in range(x.size):
         h = wide(home[i])
@@ -138,20 +163,17 @@ class Tally:
     """
 
     def __init__(self, x: Int32, y: Int32, z: Int32, limits: Limits, floor: float, terrain: Bool) -> None:
-        self._points, self._limits, self._floor = (x, y, z), limits, floor
-        self._home = np.full(x.size, -1, np.int32)
-        self._again, self._terrain = np.zeros(x.size, np.bool_), terrain
+        self._points, self._limits, self._floor = Xyz(x, y, z), limits, floor
+        self._labelled = _Labelled(np.full(x.size, -1, np.int32), np.zeros(x.size, np.bool_), terrain)
         self._tin: Tin | None = None
 
     def count(self, tin: Tin, in_doubt: UInt8) -> tuple[int, int]:
         """Points of the terrain class that were not in it before, and points of which the label is not certain."""
         last = self._tin or tin
         self._tin = tin
-        return _tally(
-            last.vertex_array, last.triangle_array, tin.vertex_array, tin.triangle_array, *self._points,
-            in_doubt, self._limits, self._floor,
-            np.full(last.n_triangles, -1, np.int32), self._home, self._again, self._terrain,
-        )  # fmt: skip
+        now = np.full(last.n_triangles, -1, np.int32)
+        points, limits, floor = self._points, self._limits, self._floor
+        return _tally(last.mesh, tin.mesh, points, in_doubt, limits, floor, now, self._labelled)
 
 
 class Round(NamedTuple):
@@ -206,10 +228,7 @@ def densify_thinned(
         tin = Tin.build(*(np.concatenate([c[chosen], virtual[:, k]]) for k, c in enumerate((x, y, z))))
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
         yield Round(tin, in_doubt, vertex)
-        kept = np.zeros(x.size, np.bool_)
-        _test_stacks(
-            tin.vertex_array, tin.triangle_array, x, y, z, stacks.starts, limits, in_doubt, vertex, doubtful, kept
-        )  # fmt: skip
+        kept = _test_stacks(tin.mesh, Xyz(x, y, z), stacks.starts, limits, in_doubt, vertex, doubtful)
         spread = doubt.add_points(x, y, doubtful)
         if not spread and np.array_equal(kept, vertex):
             return

@@ -89,16 +89,6 @@ def test_refused_candidates_stay_out() -> None:
     assert (state == REFUSED).all()
 
 
-def test_asked_to_stop_it_stops_after_the_round() -> None:
-    seeds, candidates = scene(7, 500, 900)
-    tin = Tin.build(*seeds.T, max_vertices=600)
-    x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
-    state = np.zeros(x.size, np.uint8)
-    doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
-    assert densify(tin, x, y, z, state, LIMITS, 0, doubt, stop=lambda: True)[1] == 1
-    assert np.array_equal(state == VERTEX, naive(seeds, candidates, LIMITS, 1))
-
-
 class Spreading(Doubt):
     """Says three times that doubt has spread."""
 

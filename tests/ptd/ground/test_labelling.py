@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from ptd.cells import Xyz
 from ptd.frame import Cells, Scale
 from ptd.ground.criteria import Limits
-from ptd.ground.labelling import LowNoise, label_points
+from ptd.ground.labelling import GroundRule, LowNoise, label_points
 from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
 
@@ -23,12 +26,12 @@ def flat() -> Tin:
 
 
 def label(
-    tin: Tin, points: list[tuple[int, int, int]], doubt: bool = False, **options: float
+    tin: Tin, points: list[tuple[int, int, int]], doubt: bool = False, **options: Any
 ) -> tuple[list[int], list[bool]]:
-    x, y, z = np.ascontiguousarray(np.array(points, np.int32).reshape(-1, 3).T)
+    xyz = Xyz(*np.ascontiguousarray(np.array(points, np.int32).reshape(-1, 3).T))
     in_doubt = np.full(tin.n_triangles, doubt, np.uint8)
-    floor = 0.0 if options.get("vertices_only") else FLOOR
-    labels, marked = label_points(tin, Locator.of(tin), x, y, z, in_doubt, LIMITS, floor, **options)
+    rule = GroundRule(LIMITS, 0.0 if options.get("vertices_only") else FLOOR, **options)
+    labels, marked = label_points(tin, Locator.of(tin), xyz, in_doubt, rule)
     return labels.tolist(), marked.tolist()
 
 
@@ -67,12 +70,12 @@ def test_what_rests_on_a_triangle_in_doubt_is_marked() -> None:
 
 def test_on_an_edge_the_triangle_behind_it_counts() -> None:
     tin = flat()
-    x, y, z = (np.array([v], np.int32) for v in (15_000, 20_000, 0))
+    xyz = Xyz(*(np.array([v], np.int32) for v in (15_000, 20_000, 0)))
     home = tin.locate(15_000, 20_000)
     beside = {tin.locate(15_000, 20_001), tin.locate(15_000, 19_999)} - {home}
     for t in range(tin.n_triangles):
         in_doubt = (np.arange(tin.n_triangles) == t).astype(np.uint8)
-        _, marked = label_points(tin, Locator.of(tin), x, y, z, in_doubt, LIMITS, FLOOR)
+        _, marked = label_points(tin, Locator.of(tin), xyz, in_doubt, GroundRule(LIMITS, FLOOR))
         assert marked[0] == (t == home or t in beside)
 
 
@@ -116,7 +119,7 @@ def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
 def test_heights_only_neither_angle_nor_iteration_distance_counts(height: int, ground: bool) -> None:
     """On a slope of 3 in 4 a height of 300 is 240 from the facet; 400 would be within the angle far from corners."""
     slope = Tin.build([0, 40_000, 0, 40_000], [0, 0, 40_000, 40_000], [0, 30_000, 0, 30_000])
-    assert label(slope, [(20_000, 13_000, 15_000 + height)], per_slope=0.0)[0] == [2 if ground else 1]
+    assert label(slope, [(20_000, 13_000, 15_000 + height)], heights_only=True)[0] == [2 if ground else 1]
     assert label(slope, [(20_000, 13_000, 15_400)])[0] == [2]
 
 
@@ -125,5 +128,8 @@ def test_what_is_allowed_in_height_grows_with_the_slope() -> None:
     slope = Tin.build([0, 40_000, 0, 40_000], [0, 0, 40_000, 40_000], [0, 30_000, 0, 30_000])
     heights = [15_599, 15_601, 14_401, 14_399]
     points = [(20_000, 13_000, z) for z in heights]
-    assert label(slope, points, per_slope=400.0)[0] == [2, 1, 2, 1]
-    assert label(slope, [(0, 0, 300), (0, 0, 301)], per_slope=400.0)[0] == [2, 1]  # a vertex has no slope
+    assert label(slope, points, heights_only=True, per_slope=400.0)[0] == [2, 1, 2, 1]
+    assert label(slope, [(0, 0, 300), (0, 0, 301)], heights_only=True, per_slope=400.0)[0] == [
+        2,
+        1,
+    ]  # a vertex has no slope

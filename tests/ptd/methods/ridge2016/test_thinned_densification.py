@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
+from ptd.cells import Xyz
 from ptd.frame import Cells, Scale
 from ptd.ground.certificates import Doubt
 from ptd.ground.criteria import Limits
-from ptd.ground.labelling import label_points
+from ptd.ground.labelling import GroundRule, label_points
 from ptd.methods.ridge2016.sorted_cells import Stacks
 from ptd.methods.ridge2016.thinned_densification import Tally, densify_thinned
 from ptd.tin.locator import Locator
@@ -130,7 +131,7 @@ def test_the_tally_counts_what_labelling_gives() -> None:
         )
         for tin in got:
             clear = np.zeros(tin.n_triangles, np.uint8)
-            labels, _ = label_points(tin, Locator.of(tin), x, y, z, clear, limits, 200.0)
+            labels, _ = label_points(tin, Locator.of(tin), Xyz(x, y, z), clear, GroundRule(limits, 200.0))
             counts.append(tally.count(tin, clear))
             assert counts[-1] == (((labels == 2) & (before != 2)).sum(), 0)
             before = labels
@@ -148,6 +149,6 @@ def test_the_tally_counts_what_is_in_doubt() -> None:
         p not in rows(tin) for p in zip(stacks.x.tolist(), stacks.y.tolist(), stacks.z.tolist(), strict=True)
     ]
     x, y, z = stacks.x[off], stacks.y[off], stacks.z[off]
-    _, marked = label_points(tin, Locator.of(tin), x, y, z, in_doubt, limits, 0.0)
+    _, marked = label_points(tin, Locator.of(tin), Xyz(x, y, z), in_doubt, GroundRule(limits, 0.0))
     tally = Tally(x, y, z, limits, 0.0, np.zeros(x.size, np.bool_))
     assert tally.count(tin, in_doubt)[1] == tally.count(tin, in_doubt)[1] == marked.sum() > 0
