@@ -8,11 +8,12 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from ptd.ground.left_roofs import left_roofs, reach_m
+from ptd.ground.plateaus import ROOF_CELL_M
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import NODATA, Block, RasterSpec, north_west
 from tiler.ingest import SourceInfo
-from tiler.plan.roof_check import WIDEST_M, roofs
 from tiler.store import TileStore
 
 Float64 = npt.NDArray[np.float64]
@@ -26,11 +27,8 @@ are sparser."""
 COLOURS_WITHOUT_TIME = 2
 """Point format of matched clouds: scanners keep the time of each pulse."""
 
-ROOF_CELL_M = 2.0
 TOO_WIDE = 0.8
 """Share of ``max_building_size`` from which a roof that is left in the terrain is told of."""
-REACH_M = 1.75 * WIDEST_M
-"""Around a part: half of a roof whose middle lies in it, and the square around that."""
 PART_CELLS = 500
 """Sides of the parts in which terrain is looked at: memory is that of one."""
 STRIP_ROWS = 512
@@ -98,7 +96,7 @@ def roofs_in_terrain(
     frame = store.meta.frame
     pixel = float(spec.lattice.size * frame.metres_xy)
     times = max(int(ROOF_CELL_M / pixel), 1)
-    core, pad = PART_CELLS * times, math.ceil(REACH_M / pixel / times) * times
+    core, pad = PART_CELLS * times, math.ceil(reach_m(pixel * times) / pixel / times) * times
     widest, where = 0.0, None
     parts = {
         part for block in filled for part in spec.blocks_within(spec.block_bounds(_wider(block, pad)), core)
@@ -109,9 +107,9 @@ def roofs_in_terrain(
         right = min(block.col + block.width + pad, spec.width)
         part = _part(store, name, Block(top, left, bottom - top, right - left), times)
         heights = np.where(part == np.float32(NODATA), np.nan, part) * float(frame.units.vertical)
-        for width, row, col in roofs(heights, pixel * times, TOO_WIDE * building_m):
-            if width > widest:
-                widest, where = width, (top + int(row * times), left + int(col * times))
+        for roof in left_roofs(heights, pixel * times, TOO_WIDE * building_m):
+            if roof.width_m > widest:
+                widest, where = roof.width_m, (top + int(roof.row * times), left + int(roof.column * times))
     if where is None:
         return None
     x, y = _place(spec, *where)

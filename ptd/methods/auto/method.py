@@ -18,7 +18,7 @@ refine
     climbed), and once more what still does among the ground that is left.
 roofs
     ground that is connected, at most 200 m wide, and above nearly all ground that is seen around it is a roof
-    (`plateaus`); three times, as lower roofs lean on higher ones.
+    (`ptd.ground.plateaus`); four times, as lower roofs lean on higher ones.
 label
     each point against the TIN of the ground that is left, by its height.
 
@@ -65,6 +65,7 @@ from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, LowNoise, Terrain
 from ptd.ground.morphology import Bool, CellRaster
 from ptd.ground.outliers import low_outliers
+from ptd.ground.plateaus import ROOF_CELL_M, ROOF_STEPS_M, Plateaus, on_plateaus
 from ptd.ground.roughness import Roughness
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched import passes as matched
@@ -72,11 +73,12 @@ from ptd.matched import survey
 from ptd.matched.survey import Seen
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
 from ptd.methods.auto.objects import Lowest
-from ptd.methods.auto.params import RING_M, ROOF_CELL_M, ROOF_PASSES, ROOF_STEPS_M, AutoParameters
-from ptd.methods.auto.plateaus import on_plateaus
+from ptd.methods.auto.params import RING_M, AutoParameters
 from ptd.methods.auto.settings import decided, settings
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.tin.mesh import Tin
+
+ROOF_PASSES = ("roofs", *(f"roofs{n}" for n in range(2, len(ROOF_STEPS_M) + 1)))
 
 OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
 """Codes of cells between passes; `GROUND` is what `refine` leaves."""
@@ -236,7 +238,7 @@ class RoofPass(LaserPass):
         """Look around each connected surface."""
         p = self.params
         cells, wide = Cells.of(p.thin_cell_m, scale), Cells.of(ROOF_CELL_M, scale)
-        rule = p.plateaus(scale, self.step_m)
+        rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
         x, y, z, codes = lowest_points(points, cells)
         ground, before = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):

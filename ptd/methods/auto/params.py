@@ -13,8 +13,8 @@ from typing import ClassVar
 from ptd.frame import Scale
 from ptd.ground.criteria import Limits
 from ptd.ground.outliers import search_margin
+from ptd.ground.plateaus import ROOF_CELL_M, Plateaus
 from ptd.methods.auto.objects import Drop, Residuals, Shape
-from ptd.methods.auto.plateaus import Plateaus
 from ptd.methods.progressive import Progressive
 from ptd.params import check, like, parameter
 
@@ -26,26 +26,6 @@ TERRAIN_ANGLE_DEG = 88.0
 """Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean by 0.01 points."""
 SEED_DROP_M = 0.05
 """Drop that needs no object when seeds are chosen: noise."""
-ROOF_CELL_M = 2.0
-"""Side of the cells of ground that surfaces are made of: they bridge the gaps of sparse clouds."""
-ROOF_FALL_M = 1.5
-"""What lies lower by more is below a roof."""
-ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)
-"""Neighbours on a surface differ by no more, each time that roofs are looked for: a hall, what leans on it, and what
-leans on that. With a step below the fall alone, two flat roofs whose heights differ by something in between would keep
-each other as ground; the last and smaller one parts roofs from the terrain beside them, to which larger ones join."""
-ROOF_PASSES = ("roofs", *(f"roofs{n}" for n in range(2, len(ROOF_STEPS_M) + 1)))
-ROOF_GAP_M = 8.0
-"""Neighbours are no farther apart: parts of a roof lie among higher ones."""
-ROOF_VIEW_M = 24.0
-"""How far is looked around for other ground: past what stands around a roof."""
-ROOF_SLOPE = 0.2
-"""What is seen far away lies lower on any hill: a fall has to be steeper than this."""
-ROOF_BELOW_SHARE, ROOF_UNSEEN_SHARE = 0.9, 0.6
-"""Of the ground seen around so much at least lies below; of all looks so many at most meet no ground (trees, walls of
-courtyards, the border of the data)."""
-CUT_SIZE = 0.6
-"""Share of `AutoParameters.roof_size_m` for roofs that the border of the data cuts: a terrace may go on there."""
 
 
 @dataclass(frozen=True)
@@ -197,24 +177,10 @@ class AutoParameters:
         """Cells beyond which nothing has a part in what a cell is after the pass `refine`."""
         return self.objects.reach + self.bumps.reach
 
-    def plateaus(self, scale: Scale, step_m: float = ROOF_FALL_M) -> Plateaus:
-        """When ground lies on a roof whose neighbouring cells differ by no more than a step."""
-
-        def cells(metres: float) -> int:
-            return max(round(metres / ROOF_CELL_M), 1)
-
-        return Plateaus(
-            step=scale.counts_z(step_m), fall=scale.counts_z(ROOF_FALL_M),
-            gap=cells(ROOF_GAP_M), view=cells(ROOF_VIEW_M),
-            slope=scale.counts_z(ROOF_SLOPE * ROOF_CELL_M), share=ROOF_BELOW_SHARE, unseen=ROOF_UNSEEN_SHARE,
-            widest=cells(self.roof_size_m),
-            widest_cut=cells(CUT_SIZE * self.roof_size_m),
-        )  # fmt: skip
-
     @property
     def roof_reach(self) -> int:
         """Cells (of thinning) beyond which nothing has a part in what a cell is after the pass `roofs`."""
-        return math.ceil((self.plateaus(Scale()).reach + 1) * ROOF_CELL_M / self.thin_cell_m)
+        return math.ceil((Plateaus.of(Scale(), self.roof_size_m).reach + 1) * ROOF_CELL_M / self.thin_cell_m)
 
     @property
     def halo_m(self) -> float:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ptd.frame import Cells
 from ptd.ground.morphology import EMPTY, CellRaster
-from ptd.methods.auto.plateaus import Plateaus, on_plateaus, plateaus
+from ptd.ground.plateaus import Plateaus, on_plateaus, plateaus
 
 RULE = Plateaus(
     step=1500.0, fall=1500.0, gap=2, view=4, slope=0.0, share=0.9, unseen=0.5, widest=12, widest_cut=8

@@ -15,12 +15,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter
 
 from ptd.cells import Int32, Int64
+from ptd.frame import Scale
 from ptd.ground.connected import connected_surfaces
 from ptd.ground.morphology import EMPTY, Bool, CellRaster
 from ptd.kernel import kernel
@@ -31,6 +33,26 @@ _NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
 
 _AREA, _FALLS, _OTHERS, _PAST, _UNSEEN, _BORDER = range(6)
 """What is counted of each surface; from the last on, looks along each of the eight ways that leave the data."""
+
+ROOF_CELL_M = 2.0
+"""Side of the cells of ground that surfaces are made of: they bridge the gaps of sparse clouds."""
+ROOF_FALL_M = 1.5
+"""What lies lower by more is below a roof."""
+ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)
+"""Neighbours on a surface differ by no more, each time that roofs are looked for: a hall, what leans on it, and what
+leans on that. With a step below the fall alone, two flat roofs whose heights differ by something in between would keep
+each other as ground; the last and smaller one parts roofs from the terrain beside them, to which larger ones join."""
+ROOF_GAP_M = 8.0
+"""Neighbours are no farther apart: parts of a roof lie among higher ones."""
+ROOF_VIEW_M = 24.0
+"""How far is looked around for other ground: past what stands around a roof."""
+ROOF_SLOPE = 0.2
+"""What is seen far away lies lower on any hill: a fall has to be steeper than this."""
+ROOF_BELOW_SHARE, ROOF_UNSEEN_SHARE = 0.9, 0.6
+"""Of the ground seen around so much at least lies below; of all looks so many at most meet no ground (trees, walls of
+courtyards, the border of the data)."""
+CUT_SIZE = 0.6
+"""Share of the widest roof's width for roofs that the border of the data cuts: a terrace may go on there."""
 
 BESIDE = 2
 """A ray that starts within so many cells of a roof found before, and meets nothing, is left out: what hides the ground
@@ -74,6 +96,27 @@ class Plateaus:
     unseen: float
     widest: int
     widest_cut: int
+
+    @classmethod
+    def of(
+        cls, scale: Scale, widest_m: float, step_m: float = ROOF_FALL_M, cell_m: float = ROOF_CELL_M
+    ) -> Self:
+        """The rule for roofs whose neighbouring cells differ by no more than a step."""
+
+        def cells(metres: float) -> int:
+            return max(round(metres / cell_m), 1)
+
+        return cls(
+            step=scale.counts_z(step_m),
+            fall=scale.counts_z(ROOF_FALL_M),
+            gap=cells(ROOF_GAP_M),
+            view=cells(ROOF_VIEW_M),
+            slope=scale.counts_z(ROOF_SLOPE * cell_m),
+            share=ROOF_BELOW_SHARE,
+            unseen=ROOF_UNSEEN_SHARE,
+            widest=cells(widest_m),
+            widest_cut=cells(CUT_SIZE * widest_m),
+        )
 
     @property
     def reach(self) -> int:

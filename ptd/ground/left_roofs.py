@@ -1,0 +1,72 @@
+"""Find roofs that are left in a terrain model, by the rule that takes roofs out of a cloud (`ptd.ground.plateaus`)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from ptd.frame import Scale
+from ptd.ground.morphology import EMPTY, Bool, Float64
+from ptd.ground.plateaus import ROOF_CELL_M, ROOF_STEPS_M, Plateaus, plateaus
+
+WIDEST_M = 240.0
+"""The widest roof that is looked for."""
+MILLIMETRES = Scale()
+
+
+class LeftRoof(NamedTuple):
+    """A surface of the terrain that looks like a roof.
+
+    Attributes
+    ----------
+    width_m : float
+        Diameter of the largest circle inside.
+    row, column : float
+        Its middle, cells.
+    """
+
+    width_m: float
+    row: float
+    column: float
+
+
+def left_roofs(heights: Float64, cell_m: float = ROOF_CELL_M, least_m: float = 0.0) -> list[LeftRoof]:
+    """Connected surfaces of a terrain model that lie above all that is seen around them.
+
+    Nothing farther than `reach_m` has a part in whether a surface is found.
+
+    Parameters
+    ----------
+    heights : float64, shape (rows, columns)
+        Metres, NaN where unknown.
+    cell_m : float
+        Side of a cell.
+    least_m : float
+        Narrower ones are left out.
+    """
+    known = ~np.isnan(heights)
+    if not known.any():
+        return []
+    counts = np.full(heights.shape, EMPTY, np.int32)
+    counts[known] = np.rint(1000 * heights[known])
+    found = np.zeros(heights.shape, np.bool_)
+    for step_m in ROOF_STEPS_M:
+        rule = Plateaus.of(MILLIMETRES, WIDEST_M, step_m, cell_m)
+        found |= plateaus(np.where(found, EMPTY, counts).astype(np.int32), rule, found, known)
+    numbers, _ = ndimage.label(found, np.ones((3, 3)))
+    boxes = ndimage.find_objects(numbers)
+    roofs = (_measured(numbers[box] == number, box, cell_m) for number, box in enumerate(boxes, start=1))
+    return [roof for roof in roofs if roof.width_m >= least_m]
+
+
+def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> LeftRoof:
+    depth = ndimage.distance_transform_edt(np.pad(piece, 1))
+    row, column = ((side.start + side.stop) / 2 for side in box)
+    return LeftRoof(2 * float(depth.max()) * cell_m, row, column)
+
+
+def reach_m(cell_m: float = ROOF_CELL_M) -> float:
+    """Metres beyond which nothing has a part in whether a cell is on a roof."""
+    return Plateaus.of(MILLIMETRES, WIDEST_M, cell_m=cell_m).reach * cell_m
