@@ -126,8 +126,8 @@ class RunConfig:
                            kind="choice", choices=("survey", "hull"))  # fmt: skip
     spike: Fraction = setting(Fraction(5), "the DSM leaves out a pixel's highest return if it rises this far above "
                               "all returns around it (next pixels, at least 1 m)", unit="m", kind="length")  # fmt: skip
-    memory: int | None = setting(None, "memory of one worker; default 1 GiB, or a fair share of the machine "
-                                 "if that is less", unit="bytes", kind="bytes")  # fmt: skip
+    memory: int | None = setting(None, "memory of one worker; default: half of the machine's or container's by "
+                                 "workers, 4 GiB at most", unit="bytes", kind="bytes")  # fmt: skip
     workers: int | None = setting(None, "worker processes, one thread each; default: cores", kind="int")
     in_process: bool = setting(
         False,

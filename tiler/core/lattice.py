@@ -149,6 +149,16 @@ class Lattice:
             self.first(index(bounds.y1 - 1) + 1),
         )
 
+    def within(self, bounds: Bounds) -> Bounds:
+        """The counts of all cells that ``bounds`` hold whole; empty where there is none."""
+        index = self.index_of
+        return Bounds(
+            self.first(index(bounds.x0 - 1) + 1),
+            self.first(index(bounds.y0 - 1) + 1),
+            self.first(index(bounds.x1)),
+            self.first(index(bounds.y1)),
+        )
+
     def hull(self, cells: Iterable[Cell]) -> Bounds:
         """The smallest bounds that hold some cells, of which there is one at least."""
         return reduce(Bounds.union, map(self.bounds, cells))

@@ -8,6 +8,7 @@ that closer data beyond the window could change is marked. A block with marks is
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import astuple, replace
 from fractions import Fraction
 from functools import partial
@@ -21,18 +22,12 @@ from ptd.tin import Pixels, Raster, Tin, Window, rasterise
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.edits import OF_PIXELS
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Lattice
+from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
-from tiler.grid.ground import (
-    Choose,
-    Ground,
-    central_points,
-    ranked_points,
-    read_ground,
-)
+from tiler.grid.ground import Ground, central_points, ranked_points, read_ground
 from tiler.grid.work import GridBlock, TinBlock
 from tiler.store import TileStore, open_store
 
@@ -82,6 +77,8 @@ def grid_block(store_url: str, work: GridBlock) -> dict[str, Any]:
 
 
 Heights = npt.NDArray[np.float32]
+Counts = npt.NDArray[np.int32]
+Index = npt.NDArray[np.intp]
 
 
 def edit_heights(
@@ -126,7 +123,7 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
     if work.max_points is None or side <= SMALLEST_PART:
         return False
     held = [info.n for info in store.buckets_within(_window(work, halo)).values()]
-    if work.thin is not None and _by_bucket(store, work):
+    if work.thin is not None:
         most = math.ceil(store.meta.bucket.size / work.thin.size + 1) ** 2
         held = [min(points, most) for points in held]
     return sum(held) > work.max_points
@@ -201,29 +198,33 @@ def _ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Ground, 
         ground = read_ground(store, work.rule, window)
         return ground, ground.xyz
     # Cells that the window cuts are read whole, so that the choice in them is everybody's choice.
-    choose = _choice(work.thin, work.percent, store.meta.frame.origin)
-    at_once = choose if _by_bucket(store, work) else None
-    ground = read_ground(store, work.rule, work.thin.around(window), at_once)
-    origin, chosen = store.meta.frame.origin, choose(ground.xyz)
-    xyz = ground.xyz[:, chosen]
+    origin = store.meta.frame.origin
+    choose = _choice(work.thin, work.percent, origin)
+    by_bucket = partial(_whole_cells, choose, work.thin, store.meta.bucket, origin)
+    ground = read_ground(store, work.rule, work.thin.around(window), by_bucket)
+    xyz = ground.xyz[:, choose(ground.xyz)]
     return ground, xyz[:, PointBlock(xyz).inside(window, origin)]
 
 
-def _choice(cell: Lattice, percent: int | None, origin: tuple[int, int]) -> Choose:
+def _choice(cell: Lattice, percent: int | None, origin: tuple[int, int]) -> Callable[[Counts], Index]:
     """Which point of each cell makes the surface."""
     if percent is None:
         return partial(central_points, origin=origin, lattice=cell)
     return partial(ranked_points, origin=origin, lattice=cell, percent=percent)
 
 
-def _by_bucket(store: TileStore, work: GridBlock) -> bool:
-    """Whether the choice may be made bucket by bucket, and again of all that is left.
-
-    The nearest of the nearest is the nearest, also where a cell lies in two buckets; ranks need all points of a cell.
-    """
-    if work.thin is None or work.rule.erode:
-        return False
-    return work.percent is None or (store.meta.bucket.size / work.thin.size).denominator == 1
+def _whole_cells(
+    choose: Callable[[Counts], Index],
+    thin: Lattice,
+    buckets: Lattice,
+    origin: tuple[int, int],
+    cell: Cell,
+    xyz: Counts,
+) -> Index:
+    """The points of a bucket that may make the surface: one of each cell that it holds whole, all of the others."""
+    whole = PointBlock(xyz).inside(thin.within(buckets.bounds(cell)), origin)
+    inner = np.flatnonzero(whole)
+    return np.append(inner[choose(xyz[:, inner])], np.flatnonzero(~whole))
 
 
 def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels:

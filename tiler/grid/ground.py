@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -53,8 +53,8 @@ class GroundRule:
         return table
 
 
-Choose = Callable[[npt.NDArray[np.int32]], npt.NDArray[np.intp]]
-"""Points, int32 (3, n), to indices of some of them."""
+Choose = Callable[[Cell, npt.NDArray[np.int32]], npt.NDArray[np.intp]]
+"""A bucket and points of it, int32 (3, n), to indices of some of them."""
 
 
 @dataclass(frozen=True)
@@ -75,27 +75,24 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choo
     rule : GroundRule
     bounds : Bounds
     choose : callable, optional
-        Which points of a bucket are kept, so that the others need no memory; not asked where the rule erodes, as that
-        comes before any choice.
+        Given a bucket and its ground points, which of them are kept, so that the others need no memory.
     """
-    choose = None if rule.erode else choose
+    edges = _objects_at_edges(store, rule, bounds) if rule.erode else {}
     parts, marks = [np.empty((3, 0), np.int32)], [np.empty(0, np.bool_)]
     read = 0
     for cell in store.buckets_within(bounds):
-        block, classes, is_ground = read_classes(store, rule, cell)
+        block, classes, is_ground = read_classes(store, rule, cell, needs_input=bool(rule.erode))
         chosen = is_ground & _used(block, rule, store, cell)
         chosen &= block.inside(bounds, store.meta.frame.origin)
-        points = block.xyz[:, chosen]
+        index = np.flatnonzero(chosen)
+        if rule.erode and len(index):
+            own = block.xyz[:, _is_object(block, classes, is_ground, rule, store, cell)]
+            index = index[~_beside_objects(store, rule, cell, block.xyz[:, index], own, edges)]
+        points = np.ascontiguousarray(block.xyz[:, index])
         read += points.shape[1]
-        parts.append(points if choose is None else points[:, choose(points)])
-        marks.append((classes[chosen] >= MARK_BIT) & (rule.labels is not None))
-    xyz, marked = np.concatenate(parts, axis=1), np.concatenate(marks)
-    if rule.erode:
-        stays = ~beside_objects(
-            xyz, _objects(store, rule, bounds), rule.erode, rule.erode_rise, store.meta.frame.origin
-        )
-        xyz, marked, read = np.ascontiguousarray(xyz[:, stays]), marked[stays], int(stays.sum())
-    return Ground(xyz, read, int(marked.sum()))
+        parts.append(points if choose is None else points[:, choose(cell, points)])
+        marks.append((classes[index] >= MARK_BIT) & (rule.labels is not None))
+    return Ground(np.concatenate(parts, axis=1), read, int(np.concatenate(marks).sum()))
 
 
 def read_classes(
@@ -119,16 +116,53 @@ def read_classes(
     return block, classes, is_ground
 
 
-def _objects(store: TileStore, rule: GroundRule, bounds: Bounds) -> npt.NDArray[np.int32]:
-    """Points that are neither ground nor noise, as far around ``bounds`` as they have a say."""
-    wide = bounds.pad(math.ceil(rule.erode))
-    parts = [np.empty((3, 0), np.int32)]
-    for cell in store.buckets_within(wide):
-        block, chosen = surface_points(store, rule, cell)
-        chosen &= ~read_classes(store, rule, cell)[2]
-        chosen &= block.inside(wide, store.meta.frame.origin)
-        parts.append(block.xyz[:, chosen])
-    return np.concatenate(parts, axis=1)
+def _objects_at_edges(
+    store: TileStore, rule: GroundRule, bounds: Bounds
+) -> dict[Cell, npt.NDArray[np.int32]]:
+    """Objects of each bucket around ``bounds`` that have a say in its neighbours: those near its edges."""
+    reach, origin = math.ceil(rule.erode), store.meta.frame.origin
+    found = {}
+    for cell in store.buckets_within(bounds.pad(reach)):
+        block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
+        edge = ~block.inside(store.meta.bucket.bounds(cell).pad(-reach), origin)
+        found[cell] = block.xyz[:, edge & _is_object(block, classes, is_ground, rule, store, cell)]
+    return found
+
+
+def _beside_objects(
+    store: TileStore,
+    rule: GroundRule,
+    cell: Cell,
+    ground: npt.NDArray[np.int32],
+    own: npt.NDArray[np.int32],
+    edges: Mapping[Cell, npt.NDArray[np.int32]],
+) -> npt.NDArray[np.bool_]:
+    """Which ground points of a bucket lie beside an object, its ``own`` or one at the edge of a bucket around it."""
+    around = store.meta.bucket.bounds(cell).pad(math.ceil(rule.erode))
+    others = [edges[other] for other in store.meta.bucket.among(around, edges) if other != cell]
+    objects = np.concatenate([own, *others], axis=1)
+    return beside_objects(ground, objects, rule.erode, rule.erode_rise, store.meta.frame.origin)
+
+
+def _is_object(
+    block: PointBlock,
+    classes: npt.NDArray[np.uint8],
+    is_ground: npt.NDArray[np.bool_],
+    rule: GroundRule,
+    store: TileStore,
+    cell: Cell,
+) -> npt.NDArray[np.bool_]:
+    """Points that are neither ground nor noise, of what `read_classes` gave."""
+    labels = None if rule.labels is None else classes
+    return ~is_ground & _used(block, rule, store, cell) & ~_is_noise(block, labels, store, cell)
+
+
+def _is_noise(
+    block: PointBlock, labels: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell
+) -> npt.NDArray[np.bool_]:
+    """Points that the input calls noise, or the filter, if it gave labels."""
+    noise = np.isin(_there(block.classification, store, cell), NOISE)
+    return noise if labels is None else noise | np.isin(labels & ~np.uint8(MARK_BIT), NOISE)
 
 
 def surface_points(
@@ -136,11 +170,8 @@ def surface_points(
 ) -> tuple[PointBlock, npt.NDArray[np.bool_]]:
     """All points of a bucket, and which of them are surface: no noise by the input or by the filter, not withheld."""
     block = store.read_bucket(cell, ("xyz", "flags", "classification"))
-    chosen = _used(block, rule, store, cell)
-    chosen &= ~np.isin(_there(block.classification, store, cell), NOISE)
-    if rule.labels is not None:
-        chosen &= ~np.isin(store.read_labels(rule.labels, cell) & ~np.uint8(MARK_BIT), NOISE)
-    return block, chosen
+    labels = None if rule.labels is None else store.read_labels(rule.labels, cell)
+    return block, _used(block, rule, store, cell) & ~_is_noise(block, labels, store, cell)
 
 
 def _used(block: PointBlock, rule: GroundRule, store: TileStore, cell: Cell) -> npt.NDArray[np.bool_]:

@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from ptd.methods import METHODS, make_params
 from ptd.params import to_json
 from ptd.passes import Pass
@@ -22,7 +20,7 @@ from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded
 from tiler.io.locations import cloud_path, is_url
-from tiler.plan import advice, sizes
+from tiler.plan import advice, machine, sizes
 from tiler.plan.area import area_of, part_of
 from tiler.plan.crowd import Crowd
 from tiler.plan.disk import emptiness_warning, too_much_between
@@ -124,7 +122,8 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     points = sum(s.points for s in filled)
     patches = [patch for s in filled for patch in s.patches]
     density, crowd = sizes.density_of(points, covered, patches, metres, notes), Crowd(patches, metres)
-    memory = config.memory or min(1 << 30, psutil.virtual_memory().total // (4 * (psutil.cpu_count() or 1)))
+    workers = config.workers or machine.cores()
+    memory = config.memory or machine.fair_share(workers)
     meta = StoreMeta(
         frame=frame,
         bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, crowd, memory)))),
@@ -148,7 +147,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     plan = Plan(
         config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
-        config.workers or psutil.cpu_count() or 1, cell, points, covered, extent, crowd, None,
+        workers, cell, points, covered, extent, crowd, None,
         output_names(found.inputs, found.sources), tuple(notes), tuple(warnings),
         known,
     )  # fmt: skip
@@ -227,7 +226,7 @@ def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceI
 def _readers(paths: Sequence[Path], config: RunConfig) -> int:
     """How many processes look into the inputs: one more pays for its start where there are some files for it."""
     far = sum(is_url(path) for path in paths)
-    workers = config.workers or psutil.cpu_count() or 1
+    workers = config.workers or machine.cores()
     near = min(workers, math.ceil((len(paths) - far) / FILES_OF_A_READER))
     return max(near, min(FAR_READERS, math.ceil(far / FILES_OF_A_READER)), 1)
 

@@ -227,7 +227,7 @@ class Plan:
         """About how many points a worker holds of the smallest part of a block, in the fullest place."""
         side = self._part_side_m(SMALLEST_PART)
         points = max(self.density * side**2, self.crowd.fullest(side))
-        if self.surface_share is None or self.config.erosion:
+        if self.surface_share is None:
             return points
         return min(points, (side * self.surface_share / float(self.resolution)) ** 2)
 

@@ -9,8 +9,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
@@ -34,6 +32,7 @@ from tiler.io.result_folder import (
     foreign_files,
 )
 from tiler.plan.disk import free_bytes, needed_bytes
+from tiler.plan.machine import memory_bytes
 from tiler.plan.model import KEEP, Plan
 
 MAX_DENOMINATOR = 511
@@ -170,7 +169,7 @@ def _refuse_memory(plan: Plan) -> None:
             f"{worst} needs {memory[worst] / 2**20:,.0f} MiB a worker, {plan.memory / 2**20:,.0f} MiB are allowed; "
             f"use --memory {memory[worst] // 2**20 + 1}MiB{_instead(plan, worst)}"
         )
-    workers, machine = plan.config.workers or 1, psutil.virtual_memory().total
+    workers, machine = plan.config.workers or 1, memory_bytes()
     if plan.config.scheduler is None and workers * memory[worst] > max(machine, memory[worst]):
         raise ConfigError(
             f"--workers {workers}: each needs {memory[worst] / 2**20:,.0f} MiB ({worst}), this machine has "

@@ -158,7 +158,7 @@ def decisions(run: Run) -> Node:
         "tile_size": (config["tile_size"], f"{plan['tile_m']:g} m", "what fits into a worker's memory"),
         "halo": (config["halo"], f"{_halo_m(run):g} m", "the method's own reach"),
         "workers": (config["workers"], str(plan["workers"]), "the cores of the machine"),
-        "memory": (config["memory"], size_text(memory), "a fair share of the machine, 1 GiB at most"),
+        "memory": (config["memory"], size_text(memory), "a fair share of the machine, 4 GiB at most"),
         "units": (config["units"], units, declared),
         "crs": (config["crs"], _crs_name(plan["crs"]), declared),
     }

@@ -20,8 +20,8 @@ from tiler.simulate.points import CLASS_NAMES, patches, survey_patch
 from tiler.simulate.sites import SITES
 
 DEFAULT_SIDE_M = {"als": 500.0, "dim": 150.0}
-DENSITY_RANGE = {"als": (0.05, 100.0), "dim": (1.0, 500.0)}
-"""Fewest and most points per square metre: the densest peaked at about 400 MB in all."""
+DENSITY_RANGE = {"als": (0.05, 100.0), "dim": (1.0, 1000.0)}
+"""Fewest and most points per square metre: the densest peaked at 750 MB in all."""
 
 SIDE_RANGE_M = (50.0, 50_000.0)
 SIGMA_RANGE_M = (0.0, 1.0)

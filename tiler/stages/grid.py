@@ -69,15 +69,8 @@ def _settle_surface(job: Job) -> None:
     survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
     if config.method == KEEP or survey.get("kind", config.source_kind) != MATCHED:
         return
-    surface, erode = config.surface or MATCHED_SURFACE, config.erode
-    if erode is None:
-        eroded = replace(plan, config=config.updated(surface=surface, erode=MATCHED_EROSION))
-        fits = eroded.projected_memory()["grid"] <= max(plan.memory, plan.projected_memory()["grid"])
-        erode = MATCHED_EROSION if fits else Fraction(0)
-        if not fits:
-            job.note(
-                "ground beside objects stays: leaving it out needs more --memory here (--erode 0.5 asks for it)"
-            )
+    surface = config.surface or MATCHED_SURFACE
+    erode = MATCHED_EROSION if config.erode is None else config.erode
     if (surface, erode) != (config.surface, config.erode):
         job.note(
             f"decided: the surface is the {surface} of the heights in half a pixel, without ground within "

@@ -46,6 +46,15 @@ def test_one_dense_place_is_enough_to_thin(wide: Path, spot: Path, monkeypatch: 
     assert 10_000 < both.fullest_part <= (4 * 52.0) ** 2
 
 
+def test_ground_beside_objects_is_left_out_before_it_is_thinned(spot: Path) -> None:
+    """A drone's cloud at a quarter metre: what a part holds is bounded by its cells, not by the points."""
+    plan = planned(spot, surface="median", erode="0.5", resolution="0.02", max_edge="0.5")
+    cells = (32 * 0.02 + 2 * 0.505) / 0.01
+    assert plan.fullest_part <= cells**2
+    dense = planned(spot, surface="median", erode="0.5", resolution="0.5", max_edge="0.5")
+    assert dense.fullest_part == pytest.approx((2 * (32 * 0.5 + 2 * 0.505) / 0.5) ** 2)
+
+
 def test_a_part_that_cannot_fit_is_refused_with_what_helps(
     wide: Path, spot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,7 +28,7 @@ def folder(make_cloud: MakeCloud, tmp_path: Path) -> Path:
 def test_the_plan_is_the_same_with_any_number_of_readers(folder: Path) -> None:
     found = []
     for values in ({"in_process": True}, {"workers": 1}, {"workers": 3}):
-        plan = make_plan([str(folder)], RunConfig.from_mapping({"workers": 1, **values}))
+        plan = make_plan([str(folder)], RunConfig.from_mapping({"workers": 1, "memory": 1 << 30, **values}))
         found.append(({**plan_json(plan), "workers": None, "projected_seconds": None}, plan.sources))
     assert found[0] == found[1] == found[2]
     assert [Path(path).name for path, _ in found[0][0]["unreadable"]] == ["07.las", "23.las"]

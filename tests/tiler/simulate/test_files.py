@@ -125,7 +125,7 @@ def test_a_written_scene_of_the_catalogue_is_the_scene(tmp_path):
         ({"scene": "als_city", "kind": "dim"}, "--kind dim: scene als_city is of kind als; use --scene city"),
         ({"kind": "radar"}, "--kind radar: choose one of als, dim"),
         ({"density": 0.0}, "--density 0: must be between 0.05 and 100 points/m2"),
-        ({"kind": "dim", "density": 501.0}, "--density 501: must be between 1 and 500 points/m2"),
+        ({"kind": "dim", "density": 1001.0}, "--density 1001: must be between 1 and 1000 points/m2"),
         ({"sigma_m": -0.1}, "--sigma -0.1: must be between 0 and 1 m"),
         ({"side_m": 1.0}, "--size 1: must be between 50 and 50000 m"),
         ({"blunders": float("nan")}, "--blunders nan: must be between 0 and 100 times"),
