@@ -114,8 +114,8 @@ def do_passes(
             continue
         model = step.fit(_given(cloud.seen(step), step), window, window, scale, state)
         if step.elects:
-            cloud.elect(model.elect(window))
-        if step.gives_labels:
+            cloud.elect(model.elect(window), model if step.gives_labels else None)
+        elif step.gives_labels:
             cloud.label(step, model, later_passes(params.passes, number, state))
         stats[step.name] = model.stats
         state = step.reduce([model.partial()], state)
@@ -147,9 +147,10 @@ class _Cloud:
             self.some = self.everything.take(self.index)
         return self.some
 
-    def elect(self, xyz: Int32) -> None:
-        """Other points are the elected ones, without labels."""
-        self.elected = Points(xyz, np.zeros(xyz.shape[1], np.uint8))
+    def elect(self, xyz: Int32, model: Model | None) -> None:
+        """Other points are the elected ones, labelled by a model if there is one."""
+        labels = np.zeros(xyz.shape[1], np.uint8) if model is None else model.label(Points(xyz))[0]
+        self.elected = Points(xyz, labels)
 
     def label(self, step: Pass, model: Model, later: list[Pass]) -> None:
         """Label what the pass is on; ``later``: the passes after it that apply."""

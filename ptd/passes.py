@@ -200,7 +200,8 @@ class Pass(ABC):
         core alone. None: no such bound.
     elects : bool
         The pass makes points of its own (`Model.elect`), say one a cell, for the passes after it that are on `elected`
-        ones; it gives no labels. Another such pass after it replaces them.
+        ones. If it gives labels, they are of these points: `Model.label` is then given elected ones, xyz alone. Another
+        such pass after it replaces them.
     elected : bool
         `fit` is given the elected points of the window instead of the cloud's: xyz and, if asked for, the labels of the
         last such pass before (0: none yet). Labels of the pass are of elected points, and kept for the next such pass;

@@ -81,7 +81,7 @@ class LaserPass(SplitPass):
 
 
 class Medians(Model):
-    """In the middle of each cell the lower median of its heights."""
+    """In the middle of each cell the lower median of its heights, labelled by whether that is even."""
 
     def __init__(self, xyz: np.ndarray, cells: Cells) -> None:
         columns, rows = cells.places(xyz[0], xyz[1])
@@ -95,24 +95,28 @@ class Medians(Model):
         self.stats = {"cells": len(n)}
 
     def label(self, points: Points) -> Any:
-        raise NotImplementedError
+        return parity(points), np.zeros(len(points), bool)
 
     def elect(self, bounds: Window) -> np.ndarray:
         return self.xyz[:, bounds.has(self.xyz[0], self.xyz[1])]
 
 
 class MedianPass(OfImages):
-    name, gives_labels, elects, every_point, reach_m = "medians", False, True, True, CELL_M
+    name, elects, every_point, reach_m = "medians", True, True, CELL_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Medians:
         return Medians(points.xyz, Cells.of(CELL_M, scale))
+
+
+def parity(points: Points) -> np.ndarray:
+    return np.where(points.xyz[2] % 2 == 0, HIGH, LOW).astype(np.uint8)
 
 
 class Rising(Model):
     """High is what lies more than a metre above the lowest around it."""
 
     def __init__(self, points: Points, reach: float, metre: float) -> None:
-        assert points.labels is None
+        assert np.array_equal(points.known_labels(), parity(points)), "labels of what was elected"
         self.xyz, self.reach, self.metre, self.stats = points.xyz, reach, metre, {"elected": len(points)}
 
     def label(self, points: Points) -> Any:
@@ -124,7 +128,7 @@ class Rising(Model):
 
 
 class RisingPass(OfImages):
-    name, elected, reach_m = "rising", True, SEEN_M
+    name, elected, columns, reach_m = "rising", True, ("labels",), SEEN_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Rising:
         return Rising(points, scale.counts(SEEN_M), scale.counts_z(1.0))

@@ -12,6 +12,8 @@ from ptd.cells import lowest_per_cell
 from ptd.frame import OPEN, Cells, Scale, Window
 from ptd.passes import Pass, Points, RunFacts, later_passes
 
+MARK = np.uint8(128)
+
 
 def inside(points: Points, window: Window) -> np.ndarray:
     x, y = points.xyz[0], points.xyz[1]
@@ -64,8 +66,12 @@ def classify_tiled(
             model = step.fit((sees if step.elected else given).take(seen), window, core, scale, state)
             partials.append(model.partial())
             if step.elects:
-                made.append(model.elect(core))
-            if step.gives_labels:
+                made.append(Points(model.elect(core)))
+                if step.gives_labels:
+                    got, doubt = model.label(made[-1])
+                    near = "labels" in step.columns and bool(marks[seen].any())
+                    made[-1] = Points(made[-1].xyz, got | (doubt | near).astype(np.uint8) * MARK)
+            elif step.gives_labels:
                 reach = math.ceil(scale.counts(step.label_margin_m))
                 wide = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
                 around = np.flatnonzero(inside(given, wide) & ~inside(given, core))
@@ -74,9 +80,12 @@ def classify_tiled(
                 before = doubts if step.elected else marks
                 doubtful[own] |= "labels" in step.columns and bool(before[seen].any())
         if step.elects:
-            elected = Points(np.concatenate(made, axis=1))
+            elected = Points(np.concatenate([part.xyz for part in made], axis=1))
             codes, doubts = np.zeros(len(elected), np.uint8), np.zeros(len(elected), bool)
-        if step.gives_labels and of_elected:
+            if step.gives_labels:
+                both = np.concatenate([part.known_labels() for part in made])
+                codes, doubts = both & ~MARK, both >= MARK
+        elif step.gives_labels and of_elected:
             codes, doubts = found, doubtful
         elif step.gives_labels:
             labels, marks = found, doubtful

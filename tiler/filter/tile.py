@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ptd.frame import OPEN, Scale
 from ptd.frame import Window as Known
 from ptd.methods import METHODS
-from ptd.passes import Model, Pass, joined
+from ptd.passes import Model, Pass, Points, joined
 from tiler.core.classes import GROUND, LOW_NOISE, MARK_BIT, UNCLASSIFIED
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.filter.reading import TileReader
@@ -72,6 +72,9 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
         model = step.fit(points, known, inner, scale, work.state)
         labels = {}
         for cell in work.cells if step.gives_labels else ():
+            if step.elects:
+                labels[cell] = _label_elected(store, cell, model)
+                continue
             labels[cell], near = _label(reader, cell, model)
             inherited |= near
         marked = sum(int(np.count_nonzero(found & MARK_BIT)) for found in labels.values())
@@ -81,10 +84,10 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     if inherited:  # what a doubtful label of the pass before may have changed
         labels = {cell: found | (found > 0) * np.uint8(MARK_BIT) for cell, found in labels.items()}
         marked = sum(int(np.count_nonzero(found)) for found in labels.values())
-    write = store.write_elected_labels if work.of_elected else store.write_labels
+    elected = {} if work.elected_out is None else _elect(store, work.cells, model, work.elected_out)
+    write = store.write_elected_labels if work.of_elected or step.elects else store.write_labels
     for cell, found in labels.items():
         write(work.labels_out, cell, found)
-    elected = {} if work.elected_out is None else _elect(store, work.cells, model, work.elected_out)
     given = np.concatenate(list(labels.values())) if labels else np.zeros(0, np.uint8)
     counts = np.bincount(given & ~np.uint8(MARK_BIT), minlength=256)
     return {
@@ -110,6 +113,12 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
         n = len(own.points)
         found[own.which] = labels[:n] | (marks[:n].astype(np.uint8) * np.uint8(MARK_BIT))
     return found, near
+
+
+def _label_elected(store: TileStore, cell: Cell, model: Model) -> npt.NDArray[np.uint8]:
+    """Labels with marks of the points that a pass elects in a bucket."""
+    labels, marks = model.label(Points(model.elect(_local(store.meta.bucket.bounds(cell), store))))
+    return labels | (marks.astype(np.uint8) * np.uint8(MARK_BIT))
 
 
 def _elect(store: TileStore, cells: Sequence[Cell], model: Model, name: str) -> dict[str, Any]:

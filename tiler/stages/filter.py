@@ -59,7 +59,7 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
             is_last = step.gives_labels and not later_passes(passes, number, state)
             for task in tasks:
                 if task.key not in filtered:
-                    _leave_out(job, task, before)
+                    _leave_out(job, task, step, before)
             before = before.after(number, step, is_last, assembled, filtered)
             last = step.name if is_last else ""
         if step.gives_labels:
@@ -104,13 +104,15 @@ def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: St
     return found
 
 
-def _leave_out(job: Job, task: Task, before: Before) -> None:
+def _leave_out(job: Job, task: Task, step: Pass, before: Before) -> None:
     """The points of a tile that failed have no label, and elect none: nothing of an earlier run, either."""
     work: FilterTile = task.arguments
     buckets = job.store.buckets_within(job.plan.meta.bucket.hull(work.cells))
     for cell in work.cells:
         if work.elected_out is not None:
             job.store.write_elected(work.elected_out, cell, np.zeros((3, 0), np.int32))
+            if step.gives_labels:
+                job.store.write_elected_labels(work.labels_out, cell, np.zeros(0, np.uint8))
         elif work.of_elected:
             labels = np.zeros(before.n_elected[cell], np.uint8)
             job.store.write_elected_labels(work.labels_out, cell, labels)

@@ -238,10 +238,13 @@ class Before:
                 cells = (Cell(*cell) for cell in record["cells"])
                 counts |= dict(zip(cells, record["elected_points"], strict=True))
             digests = label_digests(assembled, done, "elected")
+            if step.gives_labels:
+                of_labels = label_digests(assembled, done)
+                digests = {cell: digest_of(digest, of_labels[cell]) for cell, digest in digests.items()}
             return replace(
                 self,
                 elected=elected_name(number),
-                elected_labels=None,
+                elected_labels=labels_name(number) if step.gives_labels else None,
                 elected_digests=digests,
                 n_elected=counts,
             )

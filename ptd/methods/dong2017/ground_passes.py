@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -113,7 +114,9 @@ class Measurement(Pass):
                 f"no ground near the TIN of {state['seeds']} seeds to measure at {self.spacing_m:g} m; "
                 "use another method"
             )
-        return _with_threshold(state, f"TIN of {self.spacing_m:g} m", contour)
+        denser = self.spacing_m < state.get("spacing_m", math.inf)
+        after = _with_threshold(state, f"TIN of {self.spacing_m:g} m", contour, denser)
+        return {**after, "spacing_m": self.spacing_m}
 
 
 @dataclass(frozen=True)
@@ -167,10 +170,11 @@ def _contour(plane: Int64, level: float) -> Threshold | None:
     return None if found is None else Threshold(found[0] * PLANE.distance_m, found[1] * PLANE.angle_rad)
 
 
-def _with_threshold(state: State, where: str, found: Threshold) -> dict[str, Any]:
+def _with_threshold(state: State, where: str, found: Threshold, denser: bool = True) -> dict[str, Any]:
+    """The state with other thresholds; of those of a denser TIN it is told what the paper's do not do."""
     note = f"{where}: distance {found.distance_m:.3f} m, angle {found.angle_rad:.3f} rad"
     before = state.get("threshold")
-    if before is not None:
+    if before is not None and denser:
         shrinks, grows = found.distance_m <= before["distance_m"], found.angle_rad >= before["angle_rad"]
         odd = [
             *([] if shrinks else ["distance does not shrink"]),

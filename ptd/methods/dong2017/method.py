@@ -21,11 +21,19 @@ last_spacing           2 m, the last one told          1 m       until all are c
                                                                  ``docs/filters.md``
 tins                   "several"                       8         ground grows by two cells with each; figures there
 contour_level          none, read off a plot           0.01      gives the published thresholds on like noise
+robust_cells           none                            on        ours, for matched clouds: below; off: the paper's
 =====================  ==============================  ========  =================================================
 
 sigma, which the paper gets from planes picked by hand, is that of ``--sigma``, or found by `ptd.ground.roughness`.
 GLI's threshold is Otsu's (3.3.1), the first distance the jump of the second difference (3.3.3), the later
 thresholds come from the plane of angles and distances (3.3.4): none of them is a parameter.
+
+**Matched clouds**, which the paper is about, are filtered otherwise by default. Vegetation, facades and seeds are found
+among the points, as above. Then ground grows on one robust height per cell of 1 m (`ptd.matched.cells`), starting from
+the cells that hold a seed: thresholds, TINs and densities are the paper's, but all densities are gone through twice.
+The last pass judges every point, green ones too, to both sides of the TIN of these cells, by the noise around
+(`ptd.matched.on_cells`). ``--set robust_cells=no`` gives the paper's steps on points, which a cloud that is taken for a
+laser scan gets as well.
 
 Deviations: Otsu's threshold is used only where the histogram has a grey and a green mode, and lies between them. A
 cell holds a facade only if chance does not fill it so. A seed is dropped for a lower one only if ground cannot be so
@@ -42,6 +50,8 @@ import math
 from dataclasses import dataclass
 
 from ptd.ground import roughness
+from ptd.matched.cells import CELL_M
+from ptd.matched.on_cells import MethodSurveyPass, NearGroundPass, OfCells, OfLaser
 from ptd.methods.dong2017.ground_passes import (
     MEASURED_CELLS,
     Densification,
@@ -51,7 +61,8 @@ from ptd.methods.dong2017.ground_passes import (
 )
 from ptd.methods.dong2017.growth import Stage
 from ptd.methods.dong2017.params import Dong2017Parameters
-from ptd.methods.dong2017.seed_passes import SeedPass, Survey
+from ptd.methods.dong2017.seed_cells import SeedCellPass
+from ptd.methods.dong2017.seed_passes import ColourPass, SeedPass
 from ptd.passes import Method, Pass
 
 BLOCK_CELLS = 2
@@ -60,8 +71,17 @@ BLOCK_CELLS = 2
 MEASURED_SEEDS = 1.5
 """Largest circumradius of a facet of seeds whose points are measured, in their cells: that of neighbouring ones."""
 
+ON_CELLS = (
+    "decided: facades and seeds are found among points; ground grows on the cells, green points may be ground"
+)
+"""Told of matched clouds."""
+
 SLACK_M = 1.0
 """More than what roundings can add to a reach."""
+
+TIMES_ON_CELLS = 2
+"""Times that ground grows through all densities on cells: beyond a bank that only the finest TINs climbed the wide ones
+go on."""
 
 WIDEST_SEEDS = 3.0
 """Largest circumradius of a facet of seeds that tests points, in their cells: seeds lie along streets."""
@@ -73,20 +93,55 @@ class Dong2017(Dong2017Parameters):
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """Survey, seeds and their TIN; then a measurement and a densification for each density."""
-        first, measured_m = self.first_stage, MEASURED_SEEDS * self.seed_cell_m
-        steps: list[Pass] = [
-            Survey(self, max(roughness.REACH_M, self.facade_cell_m)),
+        """Colours and seeds, which need points; then ground that grows from the seeds, in matched clouds on cells."""
+        seeds = (
+            ColourPass(self, max(roughness.REACH_M, self.facade_cell_m)),
             SeedPass(self, self.seed_reach_m),
+        )
+        if not self.robust_cells:
+            return *seeds, *self._growing_on_points()
+        return (
+            MethodSurveyPass(notes=(ON_CELLS,)),
+            *seeds,
+            *(OfLaser.of(step) for step in self._growing_on_points()),
+            SeedCellPass(),
+            *(OfCells.of(step, f"{step.name}-of-cells") for step in self._growing_on_cells()),
+            NearGroundPass(),
+        )
+
+    def _growing_on_points(self) -> list[Pass]:
+        """The TIN of the seeds; then a measurement and a densification for each density."""
+        steps = self._first_steps()
+        for spacing in self.spacings_m:
+            steps.append(self._measurement(spacing))
+            steps.append(self._densification(spacing, last=spacing == self.spacings_m[-1]))
+        return steps
+
+    def _growing_on_cells(self) -> list[Pass]:
+        """The same, over and over; at the cells' own density nothing is left to be measured."""
+        steps = self._first_steps()
+        spacings = [s for s in self.spacings_m if s >= CELL_M] or [CELL_M]
+        for again in ("", *(f"-{n}" for n in range(2, TIMES_ON_CELLS + 1))):
+            for spacing in spacings:
+                if spacing > CELL_M:
+                    steps.append(self._measurement(spacing, again))
+                steps.append(self._densification(spacing, again))
+        return steps
+
+    def _first_steps(self) -> list[Pass]:
+        first, measured_m = self.first_stage, MEASURED_SEEDS * self.seed_cell_m
+        return [
             FirstMeasurement(self, measured_m, 2 * measured_m + SLACK_M),
             FirstGround(first, first.reach_m + SLACK_M),
         ]
-        for spacing in self.spacings_m:
-            stage, last = Stage.of_ground(spacing, self.tins), spacing == self.spacings_m[-1]
-            reach = (2 * MEASURED_CELLS + 1) * spacing + SLACK_M
-            steps.append(Measurement(self, f"measure-{spacing:g}m", spacing, reach))
-            steps.append(Densification(f"densify-{spacing:g}m", stage, last, stage.reach_m))
-        return tuple(steps)
+
+    def _measurement(self, spacing_m: float, again: str = "") -> Pass:
+        reach_m = (2 * MEASURED_CELLS + 1) * spacing_m + SLACK_M
+        return Measurement(self, f"measure-{spacing_m:g}m{again}", spacing_m, reach_m)
+
+    def _densification(self, spacing_m: float, again: str = "", last: bool = False) -> Pass:
+        stage = Stage.of_ground(spacing_m, self.tins)
+        return Densification(f"densify-{spacing_m:g}m{again}", stage, last, stage.reach_m)
 
     @property
     def first_stage(self) -> Stage:

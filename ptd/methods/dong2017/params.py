@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptd.params import check, parameter
+from ptd.matched.on_cells import OnCells
+from ptd.params import check, like, parameter
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ class Dong2017Parameters:
         0.01, "height of the contour that gives the thresholds, in parts of the histogram's peak", minimum=0.0001,
         maximum=0.9, source="Dong 2017, 3.3.4",
     )  # fmt: skip
+    robust_cells: bool = like(OnCells, "robust_cells")
 
     def __post_init__(self) -> None:
         check(self)

@@ -27,12 +27,12 @@ VEGETATION = 5
 
 
 @dataclass(frozen=True)
-class Survey(Pass):
+class ColourPass(Pass):
     """Step 1 and what it takes to know facades: greenness, density and noise of the run."""
 
     params: Dong2017Parameters
     reach_m: float | None
-    name: str = "survey"
+    name: str = "colours"
     title = "measure greenness, density and noise"
     columns: tuple[str, ...] = ("rgb",)
     every_point: bool = True
@@ -50,7 +50,7 @@ class Survey(Pass):
             "points": int(own.sum()),
             "cells": _points_by_count(x, y, cells, own),
         }
-        if state["run"]["sigma_m"] is None:
+        if state["run"]["sigma_m"] is None and "survey" not in state:
             found["patches"] = roughness.measure(points.xyz, window, core, scale)
         return Measured(found, {"points": int(own.sum())})
 
@@ -65,7 +65,7 @@ class Survey(Pass):
         if not gli.any():
             raise MethodRefusal("no point has a colour, dong2017 tells vegetation by it; use another method")
         green, density = green_from(gli.tolist()), density_of(cells, self.params.facade_cell_m**2)
-        sigma, origin = _sigma(state["run"]["sigma_m"], patches)
+        sigma, origin = _sigma(state, patches)
         share = gli[green:].sum() / gli.sum() if green is not None else 0.0
         vegetation = (
             "vegetation by colour: none, the histogram of greenness (GLI) has no two modes"
@@ -180,13 +180,19 @@ def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float
     return found[lowest_per_cell(x[found], y[found], z[found], Cells.of(p.seed_cell_m, scale))]
 
 
-def _sigma(given: float | None, patches: list[dict[str, Any]]) -> tuple[float, str]:
+def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
+    """The noise of heights, and how it is known; a survey before measured it already."""
+    given = state["run"]["sigma_m"]
     if given is not None:
         return given, "--sigma"
-    found = roughness.merge(patches)
-    if found.sigma_m is None:
+    if "survey" in state:
+        sigma, origin = state["survey"]["sigma_m"], "from planar patches"
+    else:
+        found = roughness.merge(patches)
+        sigma, origin = found.sigma_m, f"from {found.patches:,} planar patches"
+    if sigma is None:
         raise MethodRefusal("no planar patch to measure the noise of heights; say it with --sigma (metres)")
-    return found.sigma_m, f"from {found.patches:,} planar patches"
+    return sigma, origin
 
 
 def _points_by_count(x: Int32, y: Int32, cells: Cells, own: Bool) -> list[list[int]]:

@@ -11,6 +11,8 @@ from scipy.spatial import Delaunay
 
 from ptd import classify
 from ptd.frame import Scale, Window
+from ptd.matched import facets, surface
+from ptd.matched.on_cells import NearGroundPass
 from ptd.methods.classic import Classic
 from ptd.methods.dong2017.greenness import gli_bins
 from ptd.methods.dong2017.method import Dong2017
@@ -18,8 +20,9 @@ from ptd.passes import MethodRefusal, Points
 from tests.ptd.tiling import classify_tiled
 from tests.ptd.town import CAR, HOUSE, SCALE, SIGMA_M, TREE, Town, town
 
-DEFAULTS = Dong2017()
-QUICK = Dong2017(tins=3, last_spacing_m=2.0)
+PAPER = Dong2017(robust_cells=False)
+"""The paper's steps, on points."""
+QUICK = Dong2017(tins=3, last_spacing_m=2.0, robust_cells=False)
 Run = tuple[np.ndarray, np.ndarray, dict[str, Any]]
 
 
@@ -30,7 +33,7 @@ def scene() -> Town:
 
 @pytest.fixture(scope="module")
 def whole(scene: Town) -> Run:
-    return classify_tiled(scene.points, SCALE, DEFAULTS, None)
+    return classify_tiled(scene.points, SCALE, PAPER, None)
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +57,34 @@ def test_ground_is_kept_and_objects_are_removed(scene: Town, whole: Run) -> None
     assert ground[HOUSE] < 0.04  # the feet of facades lie within the first threshold of the ground
 
 
+def test_on_cells_green_ground_is_kept_and_cars_are_removed(scene: Town) -> None:
+    """From cells of robust heights lawns are ground, which no colour says; houses, cars and crowns are not."""
+    xyz, rgb = xyz_rgb(scene)
+    result = classify(xyz, "dong2017", rgb=rgb)
+    kept = {
+        what: (result.classification[scene.truth == what] == 2).mean() for what in (2, 3, CAR, TREE, HOUSE)
+    }
+    assert min(kept[2], kept[3]) > 0.985
+    assert kept[CAR] < 0.05
+    assert kept[TREE] == 0.0
+    assert kept[HOUSE] < 0.04
+    assert any("green points may be ground" in note for note in result.decisions["statistics"]["notes"])
+
+
+def test_tiles_do_not_show_on_cells(small: Town, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cells of tiles that see only a part of the town have the labels of the whole, seeds among them."""
+    monkeypatch.setattr(facets, "WIDEST_M", 6.0)
+    shorter = facets.reach_m() + surface.noise_reach_cells() + 3.0
+    passes = (*Dong2017(tins=1).passes[:-1], replace(NearGroundPass(), reach_m=shorter))
+    monkeypatch.setattr(Dong2017, "passes", passes)
+    whole, _, state = classify_tiled(small.points, SCALE, Dong2017(), None)
+    assert 0.4 < (whole == 2).mean() < 0.9
+    labels, marks, tiled = classify_tiled(small.points, SCALE, Dong2017(), 30.0, 25.0)
+    assert np.array_equal(labels, whole)
+    assert not marks.any()
+    assert tiled == state
+
+
 def test_what_was_decided_is_told(whole: Run) -> None:
     state = whole[2]
     told = "\n".join(state["notes"])
@@ -72,7 +103,7 @@ def test_what_was_decided_is_told(whole: Run) -> None:
 def test_no_seed_on_houses_podiums_or_trees(scene: Town) -> None:
     state: dict[str, Any] = {"run": {"rgb": True, "sigma_m": SIGMA_M}}
     window = Window.everything()
-    survey, seeds = DEFAULTS.passes[:2]
+    survey, seeds = PAPER.passes[:2]
     state = survey.reduce([survey.fit(scene.points, window, window, SCALE, state).partial()], state)
     labels, _ = seeds.fit(scene.points, window, window, SCALE, state).label(scene.points)
     assert (labels == 2).sum() > 40
@@ -152,7 +183,7 @@ def test_without_a_planar_patch_it_asks_for_sigma() -> None:
 def test_one_mode_of_colour_removes_nothing(small: Town) -> None:
     xyz, rgb = xyz_rgb(small)
     grey = np.full_like(rgb, 100)
-    result = classify(xyz, "dong2017", rgb=grey, sigma=SIGMA_M)
+    result = classify(xyz, "dong2017", PAPER, rgb=grey, sigma=SIGMA_M)
     assert "no two modes" in result.decisions["statistics"]["notes"][0]
     assert (result.classification[small.truth == 3] == 2).mean() > 0.9  # lawns are ground again
 
@@ -181,7 +212,7 @@ SPACINGS = [
 def test_densities_are_halved_down_to_the_last(
     limits: tuple[float, float], spacings: tuple[float, ...]
 ) -> None:
-    params = Dong2017(first_spacing_m=limits[0], last_spacing_m=limits[1])
+    params = replace(PAPER, first_spacing_m=limits[0], last_spacing_m=limits[1])
     assert params.spacings_m == spacings
     names = [step.name for step in params.passes]
     assert len(set(names)) == len(names) == 4 + 2 * len(spacings)
@@ -199,7 +230,7 @@ def test_the_papers_comparison_between_facades() -> None:
     from tiler.simulate.catalogue import make_scene
 
     scene = make_scene("dim_area_city")
-    result = classify(scene.xyz, "dong2017", rgb=scene.rgb)
+    result = classify(scene.xyz, "dong2017", PAPER, rgb=scene.rgb)
     papers = Classic(
         max_building_size_m=30.0,
         iteration_angle_deg=6.0,
@@ -225,7 +256,7 @@ def _seeds_of(xyz: np.ndarray, rgb: np.ndarray) -> np.ndarray:
     points = Points(np.ascontiguousarray(counts), rgb=np.ascontiguousarray(rgb.T))
     window, scale = Window.everything(), Scale()
     state: dict[str, Any] = {"run": {"rgb": True, "sigma_m": None}}
-    survey, seeds = DEFAULTS.passes[:2]
+    survey, seeds = PAPER.passes[:2]
     state = survey.reduce([survey.fit(points, window, window, scale, state).partial()], state)
     labels, _ = seeds.fit(points, window, window, scale, state).label(points)
     found: np.ndarray = labels == 2
