@@ -15,9 +15,19 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 SETTINGS = {spec.name: spec for spec in dataclasses.fields(RunConfig)}
 
-_METAVARS = {"length": "LENGTH", "bytes": "SIZE", "classes": "N,N,...", "names": "NAME,...", "pairs": "NAME=VALUE",
-             "bounds": "X0 Y0 X1 Y1", "int": "N", "preset": "NAME", "nodata": "VALUE",
-             "file": "FILE", "files": "FILE"}  # fmt: skip
+_METAVARS = {
+    "length": "LENGTH",
+    "bytes": "SIZE",
+    "classes": "N,N,...",
+    "names": "NAME,...",
+    "pairs": "NAME=VALUE",
+    "bounds": "X0 Y0 X1 Y1",
+    "int": "N",
+    "preset": "NAME",
+    "nodata": "VALUE",
+    "file": "FILE",
+    "files": "FILE",
+}
 
 
 def config_options(only: Collection[str] | None = None) -> Callable[[Command], Command]:

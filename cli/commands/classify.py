@@ -13,9 +13,20 @@ from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import failed_lines
 
 SETTINGS = (
-    "method", "parameters", "sigma", "kind", "tile_size", "halo", "memory", "workers", "units", "keep_classes",
-    "skip_synthetic", "skip_overlap", "salvage",
-)  # fmt: skip
+    "method",
+    "parameters",
+    "sigma",
+    "kind",
+    "tile_size",
+    "halo",
+    "memory",
+    "workers",
+    "units",
+    "keep_classes",
+    "skip_synthetic",
+    "skip_overlap",
+    "salvage",
+)
 
 
 @click.command("classify", cls=TilerCommand, progress=True)

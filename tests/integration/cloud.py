@@ -80,9 +80,19 @@ class Cluster:
     def worker(self, **variables: str) -> subprocess.Popen[bytes]:
         """One more worker, without a nanny: what kills it is the loss of a machine."""
         return self._start(
-            "dask.__main__", "worker", self.address, "--nthreads", "1", "--memory-limit", "0", "--no-dashboard",
-            "--no-nanny", "--local-directory", str(self.folder), **variables,
-        )  # fmt: skip
+            "dask.__main__",
+            "worker",
+            self.address,
+            "--nthreads",
+            "1",
+            "--memory-limit",
+            "0",
+            "--no-dashboard",
+            "--no-nanny",
+            "--local-directory",
+            str(self.folder),
+            **variables,
+        )
 
     def wait_for(self, workers: int) -> None:
         from distributed import Client

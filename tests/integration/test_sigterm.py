@@ -57,14 +57,24 @@ def arguments(name: str, folder: Path, out: Path) -> list[str]:
         "info": ["info", town],
         "methods": ["methods"],
         "evaluate": ["evaluate", town, "--method", "classic", "--maps", str(out / "maps")],
-        "check": ["check", str(done / "dtm.tif"), "--points", str(folder / "points.csv"), "--tile-size", "64",
-                  "--figures", str(out / "figures"), "--strips", str(done / "classified" / "town.laz")],
+        "check": [
+            "check",
+            str(done / "dtm.tif"),
+            "--points",
+            str(folder / "points.csv"),
+            "--tile-size",
+            "64",
+            "--figures",
+            str(out / "figures"),
+            "--strips",
+            str(done / "classified" / "town.laz"),
+        ],
         "report": ["report", str(done)],
         "clean": ["clean", str(done)],
         "simulate": ["simulate", str(out / "scene.laz"), "--size", "300"],
         "config": ["config", "--template"],
         "demo": ["demo", "-o", str(out), "--method", "classic", "--workers", "2"],
-    }[name]  # fmt: skip
+    }[name]
 
 
 def works(process: psutil.Process) -> bool:

@@ -26,8 +26,18 @@ _MOST_CELLS = 1024
 _MAP_COLUMNS, _MAP_ROWS = 64, 24
 """Size of the density map at most, in characters."""
 
-_RUN_FACTS = ("state", "version", "counts", "filter", "dtm", "outputs", "quarantined", "failed_tasks", "seconds",
-              "peak_rss_bytes")  # fmt: skip
+_RUN_FACTS = (
+    "state",
+    "version",
+    "counts",
+    "filter",
+    "dtm",
+    "outputs",
+    "quarantined",
+    "failed_tasks",
+    "seconds",
+    "peak_rss_bytes",
+)
 """What the description of a result tells of its run.json; the rest is to be read there."""
 
 

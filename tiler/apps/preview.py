@@ -206,10 +206,21 @@ def _cut(
 def _settings(plan: Plan) -> RunConfig:
     """Those of the run but for where and how much."""
     return plan.config.updated(
-        products=("dtm", "dsm"), resolution=plan.resolution, sheets=None, bounds=None, aoi=None, store=None,
-        scheduler=None, workers=1, in_process=True, overwrite=False, force=False, clean_store=False, salvage=False,
+        products=("dtm", "dsm"),
+        resolution=plan.resolution,
+        sheets=None,
+        bounds=None,
+        aoi=None,
+        store=None,
+        scheduler=None,
+        workers=1,
+        in_process=True,
+        overwrite=False,
+        force=False,
+        clean_store=False,
+        salvage=False,
         crs=plan.config.crs or plan.meta.frame.crs_wkt or "none",
-    )  # fmt: skip
+    )
 
 
 def _window(

@@ -164,9 +164,16 @@ def raster_look(frame: CoordFrame, work: ProductFile) -> RasterLook:
     product = _product(work)
     unit = unit_label(frame.units.vertical) if product.unit == HEIGHT else product.unit
     return RasterLook(
-        frame.crs_wkt, unit, product.description, work.tags, product.dtype, product.nodata, product.colours,
-        {f"VALUE_{value}": text for value, text in product.values.items()}, product.categories,
-    )  # fmt: skip
+        frame.crs_wkt,
+        unit,
+        product.description,
+        work.tags,
+        product.dtype,
+        product.nodata,
+        product.colours,
+        {f"VALUE_{value}": text for value, text in product.values.items()},
+        product.categories,
+    )
 
 
 def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) -> None:

@@ -98,10 +98,20 @@ def plain_geotiff(
     look : RasterLook
     """
     profile = {
-        "driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": look.dtype, "nodata": look.nodata,
-        "crs": None if look.crs is None else CRS.from_user_input(look.crs), "transform": Affine(*transform),
-        "tiled": True, "blockxsize": BLOCK_PIXELS, "blockysize": BLOCK_PIXELS, "BIGTIFF": "IF_SAFER", "SPARSE_OK": True,
-    }  # fmt: skip
+        "driver": "GTiff",
+        "height": height,
+        "width": width,
+        "count": 1,
+        "dtype": look.dtype,
+        "nodata": look.nodata,
+        "crs": None if look.crs is None else CRS.from_user_input(look.crs),
+        "transform": Affine(*transform),
+        "tiled": True,
+        "blockxsize": BLOCK_PIXELS,
+        "blockysize": BLOCK_PIXELS,
+        "BIGTIFF": "IF_SAFER",
+        "SPARSE_OK": True,
+    }
     if look.colours:
         profile["photometric"] = "palette"
     with (

@@ -91,13 +91,23 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     given = np.concatenate(list(labels.values())) if labels else np.zeros(0, np.uint8)
     counts = np.bincount(given & ~np.uint8(MARK_BIT), minlength=256)
     return {
-        "points": int(counts.sum()), "ground": int(counts[GROUND]), "low_noise": int(counts[LOW_NOISE]),
-        "unclassified": int(counts[UNCLASSIFIED]), "kept": int(counts[KEEP]),
-        "marked": marked, "tries": tries, "halo": halo,
-        "window_points": len(points), "core_area": core.area(), "window_area": area,
-        "cells": [[cell.ix, cell.iy] for cell in work.cells], "labels": digest_of_arrays(labels.values()), **elected,
-        "partial": model.partial(), "stats": model.stats,
-    }  # fmt: skip
+        "points": int(counts.sum()),
+        "ground": int(counts[GROUND]),
+        "low_noise": int(counts[LOW_NOISE]),
+        "unclassified": int(counts[UNCLASSIFIED]),
+        "kept": int(counts[KEEP]),
+        "marked": marked,
+        "tries": tries,
+        "halo": halo,
+        "window_points": len(points),
+        "core_area": core.area(),
+        "window_area": area,
+        "cells": [[cell.ix, cell.iy] for cell in work.cells],
+        "labels": digest_of_arrays(labels.values()),
+        **elected,
+        "partial": model.partial(),
+        "stats": model.stats,
+    }
 
 
 def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:

@@ -49,6 +49,10 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
     filled = int(np.count_nonzero(heights != nodata))
     cut = int(np.count_nonzero((before != nodata) & (heights == nodata)))
     return {
-        "pixels": heights.size, "filled": filled, "cut": cut, "water": water, "checksum": checksum(heights),
+        "pixels": heights.size,
+        "filled": filled,
+        "cut": cut,
+        "water": water,
+        "checksum": checksum(heights),
         "added": filled + cut - int(np.count_nonzero(before != nodata)),
-    }  # fmt: skip
+    }

@@ -124,15 +124,26 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
     if extent.note:
         notes.append(extent.note)
     return SourceInfo(
-        path=header.path, state=header.state, digest=header.digest,
-        version="{}.{}".format(*header.version), point_format=header.point_format,
-        record_length=header.record_length, points=header.point_count, compressed=header.laz is not None,
-        copc=any(v.is_copc for v in header.vlrs), has_rgb=header.point_format in RGB_FORMATS,
-        salvaged=salvage and bool(header.notes), scales=header.scales, georeference=place, bounds=extent.bounds,
-        claimed=extent.claimed, returns=extent.returns,
-        notes=(*notes, *(place.notes if place.kind != "missing" else ())), patches=extent.patches,
+        path=header.path,
+        state=header.state,
+        digest=header.digest,
+        version="{}.{}".format(*header.version),
+        point_format=header.point_format,
+        record_length=header.record_length,
+        points=header.point_count,
+        compressed=header.laz is not None,
+        copc=any(v.is_copc for v in header.vlrs),
+        has_rgb=header.point_format in RGB_FORMATS,
+        salvaged=salvage and bool(header.notes),
+        scales=header.scales,
+        georeference=place,
+        bounds=extent.bounds,
+        claimed=extent.claimed,
+        returns=extent.returns,
+        notes=(*notes, *(place.notes if place.kind != "missing" else ())),
+        patches=extent.patches,
         chunks=_chunks(header.laz),
-    )  # fmt: skip
+    )
 
 
 def inspect_guarded(guard: Guard, path: Path, salvage: bool = False) -> SourceInfo:

@@ -136,8 +136,12 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
                 parts += [] if left is None else [f"about {duration_text(left)} left"]
             return Text(", ".join(p for p in parts if p))
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(bar_width=30),
-               TextColumn("{task.percentage:>3.0f} %"), Facts())  # fmt: skip
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=30),
+        TextColumn("{task.percentage:>3.0f} %"),
+        Facts(),
+    )
     with Progress(*columns, console=Console(file=stream)) as bars:
         whole = bars.add_task("whole job", total=1.0, visible=False, rate="", clock=True)
         part = bars.add_task("", total=1.0, visible=False, rate="", clock=False)

@@ -17,9 +17,19 @@ from tiler.store import open_store
 from tiler.version import __version__
 
 LIBRARIES = (
-    "numpy", "scipy", "numba", "zarr", "laspy", "lazrs", "rasterio", "pyproj", "shapely", "pyogrio", "contourpy",
+    "numpy",
+    "scipy",
+    "numba",
+    "zarr",
+    "laspy",
+    "lazrs",
+    "rasterio",
+    "pyproj",
+    "shapely",
+    "pyogrio",
+    "contourpy",
     "distributed",
-)  # fmt: skip
+)
 """Libraries on whose versions the bytes of a result depend, or whether client and workers understand each other."""
 
 LOOKED_AT = 20

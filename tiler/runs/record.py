@@ -114,15 +114,25 @@ class RunRecord:
         state : str
             ``running``, ``interrupted`` or ``done``.
         """
-        found: dict[str, Any] = stored({
-            "state": state, "version": __version__, "configuration": plan.config.to_json(),
-            "plan": plan_json(plan), "libraries": _libraries(),
-            "written": datetime.now(UTC).isoformat(timespec="seconds"), "notes": self.notes,
-            "tiles": {s: [{"key": k, **t} for k, t in ts.items()] for s, ts in self.tiles.items()},
-            "stages": self.stages, "quarantined": self.quarantined, "failed_tasks": self.failed,
-            "peak_rss_bytes": max([peak_rss_bytes(), *(s["peak_rss_bytes"] for s in self.stages.values())]),
-            **self.facts,
-        })  # fmt: skip
+        found: dict[str, Any] = stored(
+            {
+                "state": state,
+                "version": __version__,
+                "configuration": plan.config.to_json(),
+                "plan": plan_json(plan),
+                "libraries": _libraries(),
+                "written": datetime.now(UTC).isoformat(timespec="seconds"),
+                "notes": self.notes,
+                "tiles": {s: [{"key": k, **t} for k, t in ts.items()] for s, ts in self.tiles.items()},
+                "stages": self.stages,
+                "quarantined": self.quarantined,
+                "failed_tasks": self.failed,
+                "peak_rss_bytes": max(
+                    [peak_rss_bytes(), *(s["peak_rss_bytes"] for s in self.stages.values())]
+                ),
+                **self.facts,
+            }
+        )
         return found
 
 

@@ -24,10 +24,20 @@ SHADE = np.array([0.36, 0.40, 0.50])
 """Share of each colour that is left in shadow, which is lit by the sky alone."""
 
 ASPHALT, LAWN, SOIL, ROCK, WATERS, LEAVES, PLANTS, CONCRETE, FACADE = range(9)
-MATERIALS = np.array([
-    (118, 117, 116), (104, 132, 72), (152, 130, 102), (140, 133, 124), (52, 70, 72), (62, 86, 44), (92, 112, 58),
-    (156, 153, 147), (176, 166, 150),
-], dtype=np.float64)  # fmt: skip
+MATERIALS = np.array(
+    [
+        (118, 117, 116),
+        (104, 132, 72),
+        (152, 130, 102),
+        (140, 133, 124),
+        (52, 70, 72),
+        (62, 86, 44),
+        (92, 112, 58),
+        (156, 153, 147),
+        (176, 166, 150),
+    ],
+    dtype=np.float64,
+)
 """8-bit red, green and blue of the materials."""
 
 ROOFS = np.array(

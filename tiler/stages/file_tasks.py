@@ -100,9 +100,13 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
             near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS)
             seen = [[b.name, g.made[raster][b.name][1]["checksum"]] for b in near if b.name in g.made[raster]]
             work = replace(
-                whole, name=sheet_name(template, name, *sheet.corner, side), out=joined(out, name), spec=spec,
-                whole=g.spec, tags=_tags(g.plan, name, read),
-            )  # fmt: skip
+                whole,
+                name=sheet_name(template, name, *sheet.corner, side),
+                out=joined(out, name),
+                spec=spec,
+                whole=g.spec,
+                tags=_tags(g.plan, name, read),
+            )
             yield _cog_task(work, seen)
 
 
@@ -120,9 +124,12 @@ def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
         files = [(sheet_name(template, name, *sheet.corner, side), sheet.spec) for sheet in cut]
         refuse_alike(template, (file for file, _ in files))
         work = WriteMosaic(
-            product=name, out=out, tags=_tags(g.plan, name, whole_inputs), nodata=_nodata(g.plan, name),
+            product=name,
+            out=out,
+            tags=_tags(g.plan, name, whole_inputs),
+            nodata=_nodata(g.plan, name),
             sheets=tuple((f"{name}/{file}.tif", spec) for file, spec in files),
-        )  # fmt: skip
+        )
         yield Task("mosaic", f"{name}.vrt", digest_of(work), write_mosaic, work)
 
 
@@ -202,6 +209,7 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
         "TILER_VERSION": __version__,
         "TILER_METHOD": config.method,
         "TILER_PARAMETERS": json.dumps(plan.parameters, sort_keys=True),
-        "TILER_GRID": json.dumps(settings, sort_keys=True), "TILER_INPUTS": inputs,
+        "TILER_GRID": json.dumps(settings, sort_keys=True),
+        "TILER_INPUTS": inputs,
         **({} if datum is None else {"VERTICAL_DATUM": datum}),
-    }  # fmt: skip
+    }

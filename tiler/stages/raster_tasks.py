@@ -166,9 +166,15 @@ def outline_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         block = g.spec.block_named(key, BLOCK_PIXELS)
         wet = waters.digest(g.spec.block_bounds(block))
         work = OutlineBlock(
-            name=raster.name, spec=g.spec, block=block, heights=model, survey=survey, coarse=g.coarse,
-            cut=g.plan.config.outline == "survey", waters=waters.key if wet else None,
-        )  # fmt: skip
+            name=raster.name,
+            spec=g.spec,
+            block=block,
+            heights=model,
+            survey=survey,
+            coarse=g.coarse,
+            cut=g.plan.config.outline == "survey",
+            waters=waters.key if wet else None,
+        )
         own = made[key][1]["checksum"] if key in made else None
         digest = digest_of(__version__, work, own, surveyed, wet)
         yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
@@ -188,10 +194,18 @@ def mask_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     made = (spec.block_named(key, BLOCK_PIXELS) for name in (dtm, heights) for key in g.made[name])
     for block in sorted({*near, *holes, *inside, *made}, key=north_west):
         work = MaskBlock(
-            name=raster.name, spec=spec, block=block, rule=rule, dtm=dtm, filled=heights, survey=survey,
-            coarse=coarse, holes=tuple(holes.get(block, ())), area=area,
+            name=raster.name,
+            spec=spec,
+            block=block,
+            rule=rule,
+            dtm=dtm,
+            filled=heights,
+            survey=survey,
+            coarse=coarse,
+            holes=tuple(holes.get(block, ())),
+            area=area,
             waters=g.waters.key if g.waters.bodies else None,
-        )  # fmt: skip
+        )
         wet = g.waters.digest(spec.block_bounds(block))
         rasters = [
             g.made[name][block.name][1]["checksum"] for name in (dtm, heights) if block.name in g.made[name]

@@ -81,7 +81,12 @@ def tell_of_waters(job: Job, waters: Waters, terrain: Commits) -> None:
 def _fact(body: Water, pixels: int, square: float) -> dict[str, Any]:
     high, low = body.range
     return {
-        "number": body.number, "kind": body.kind, "level": high, "level_end": low, "pixels": pixels,
-        "area_m2": pixels * square, "sure": body.sure,
+        "number": body.number,
+        "kind": body.kind,
+        "level": high,
+        "level_end": low,
+        "pixels": pixels,
+        "area_m2": pixels * square,
+        "sure": body.sure,
         "bounds": [v / COUNTS_PER_UNIT for v in body.area.bounds.to_json()],
-    }  # fmt: skip
+    }

@@ -97,13 +97,21 @@ class Chen2023(Progressive):
     """Parameters of `chen2023`; see the module's table."""
 
     max_building_size_m: float = parameter(
-        30.0, "the largest building that the windows take out; the ring's cells are half of it", unit="m",
-        minimum=1.0, maximum=1000.0, source="Chen 2023, 3.2 (1)",
-    )  # fmt: skip
+        30.0,
+        "the largest building that the windows take out; the ring's cells are half of it",
+        unit="m",
+        minimum=1.0,
+        maximum=1000.0,
+        source="Chen 2023, 3.2 (1)",
+    )
     thin_cell_m: float = parameter(
-        1.0, "c: cells of the minimum raster, whose lowest points alone can become vertices", unit="m", minimum=0.1,
-        maximum=10.0, source="Chen 2023, 2.2 A",
-    )  # fmt: skip
+        1.0,
+        "c: cells of the minimum raster, whose lowest points alone can become vertices",
+        unit="m",
+        minimum=0.1,
+        maximum=10.0,
+        source="Chen 2023, 2.2 A",
+    )
     initial_window: int = parameter(
         1,
         "W_0: windows of 2 k W_0 + 1 cells, k = 1, 2, ...",
@@ -116,9 +124,12 @@ class Chen2023(Progressive):
         False, "windows of 2 W_0^k + 1 cells instead; W_0 must be 2 or more", source="Chen 2023, eq. 2"
     )
     terrain_slope: float = parameter(
-        0.3, "s: rise over run by which ground may drop per metre that the window grows", minimum=0.0, maximum=10.0,
+        0.3,
+        "s: rise over run by which ground may drop per metre that the window grows",
+        minimum=0.0,
+        maximum=10.0,
         source="Chen 2023, eq. 3",
-    )  # fmt: skip
+    )
     initial_drop_m: float = parameter(
         0.3,
         "h_0: what ground may drop in any case",
@@ -128,29 +139,50 @@ class Chen2023(Progressive):
         source="Chen 2023, eq. 3",
     )
     largest_drop_m: float = parameter(
-        2.5, "h_max: the most that ground may drop from one window to the next", unit="m", minimum=0.01,
-        maximum=100.0, source="Chen 2023, eq. 3",
-    )  # fmt: skip
+        2.5,
+        "h_max: the most that ground may drop from one window to the next",
+        unit="m",
+        minimum=0.01,
+        maximum=100.0,
+        source="Chen 2023, eq. 3",
+    )
     mean_layers: int = parameter(
-        5, "empty cells so far from filled ones are interpolated, farther ones take the nearest height", minimum=0,
-        maximum=1000, source="Chen 2023, 2.2 A",
-    )  # fmt: skip
+        5,
+        "empty cells so far from filled ones are interpolated, farther ones take the nearest height",
+        minimum=0,
+        maximum=1000,
+        source="Chen 2023, 2.2 A",
+    )
     tail_gap_m: float = parameter(
-        20.0, "elevation histogram: a tail lies beyond a gap of this height; 0: no tails", unit="m", minimum=0.0,
-        maximum=10000.0, source="Chen 2023, 2.1 a",
-    )  # fmt: skip
+        20.0,
+        "elevation histogram: a tail lies beyond a gap of this height; 0: no tails",
+        unit="m",
+        minimum=0.0,
+        maximum=10000.0,
+        source="Chen 2023, 2.1 a",
+    )
     tail_share: float = parameter(
-        0.001, "elevation histogram: a tail holds no more than this share of the candidates of the run", minimum=0.0,
-        maximum=0.1, source="Chen 2023, 2.1 a",
-    )  # fmt: skip
+        0.001,
+        "elevation histogram: a tail holds no more than this share of the candidates of the run",
+        minimum=0.0,
+        maximum=0.1,
+        source="Chen 2023, 2.1 a",
+    )
     long_side: float = parameter(
-        1.5, "seeds: of facets with a side of more than so many largest buildings the highest corner is noise; 0: off",
-        minimum=0.0, maximum=1000.0, source="Chen 2023, 2.3 (1)",
-    )  # fmt: skip
+        1.5,
+        "seeds: of facets with a side of more than so many largest buildings the highest corner is noise; 0: off",
+        minimum=0.0,
+        maximum=1000.0,
+        source="Chen 2023, 2.3 (1)",
+    )
     narrow_angle_deg: float = parameter(
-        15.0, "seeds: facets with a smaller angle do not join seeds to clusters", unit="deg", minimum=0.0,
-        maximum=60.0, source="Chen 2023, 2.3 (2)",
-    )  # fmt: skip
+        15.0,
+        "seeds: facets with a smaller angle do not join seeds to clusters",
+        unit="deg",
+        minimum=0.0,
+        maximum=60.0,
+        source="Chen 2023, 2.3 (2)",
+    )
     cluster_seeds: int = parameter(
         50,
         "seeds: a cluster of no more is small; 0: none is",
@@ -159,9 +191,13 @@ class Chen2023(Progressive):
         source="Chen 2023, 2.3 (2)",
     )
     prominence_m: float = parameter(
-        1.0, "seeds: so much higher than the seeds around it a small cluster is noise", unit="m", minimum=0.0,
-        maximum=100.0, source="Chen 2023, 2.3 (2)",
-    )  # fmt: skip
+        1.0,
+        "seeds: so much higher than the seeds around it a small cluster is noise",
+        unit="m",
+        minimum=0.0,
+        maximum=100.0,
+        source="Chen 2023, 2.3 (2)",
+    )
     label_pass: bool = like(Classic, "label_pass")
     robust_cells: bool = like(OnCells, "robust_cells")
 
@@ -222,9 +258,12 @@ class Chen2023(Progressive):
     def clusters(self, scale: Scale) -> ClusterLimits:
         """Limits of the seeds' refinement in counts."""
         return ClusterLimits(
-            scale.counts(self.long_side * self.max_building_size_m), math.cos(math.radians(self.narrow_angle_deg)),
-            self.cluster_seeds, scale.counts_z(self.prominence_m), scale.z_ratio,
-        )  # fmt: skip
+            scale.counts(self.long_side * self.max_building_size_m),
+            math.cos(math.radians(self.narrow_angle_deg)),
+            self.cluster_seeds,
+            scale.counts_z(self.prominence_m),
+            scale.z_ratio,
+        )
 
 
 @dataclass(frozen=True)
@@ -255,9 +294,15 @@ class ChenModel(Model):
         x, y, z = x[keep], y[keep], z[keep]
         low, other = self._outliers(x, y, z)
         self.stats: dict[str, Any] = {
-            "candidates": int(x.size), "low_outliers": int(low.sum()), "other_outliers": int(other.sum()),
-            "windows": params.widths, "potential_seeds": 0, "noisy_seeds": 0, "rounds": 0, "vertices": 0,
-        }  # fmt: skip
+            "candidates": int(x.size),
+            "low_outliers": int(low.sum()),
+            "other_outliers": int(other.sum()),
+            "windows": params.widths,
+            "potential_seeds": 0,
+            "noisy_seeds": 0,
+            "rounds": 0,
+            "vertices": 0,
+        }
         self.terrain: Terrain | None = None
         if not (low | other).all():
             self._low = LowNoise(x[low], y[low], z[low], self._cells)

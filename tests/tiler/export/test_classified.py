@@ -98,9 +98,20 @@ def test_all_but_the_classes_is_equal(
     assert [p.name for p in out.parent.iterdir()] == ["a.laz"]
 
 
-ODD = ["1.0_0.las", "4_6_crop.las", "bad_vlr_count.las", "epsg_4326.las", "extra.laz", "fullwave.laz",
-       "file_with_both_wkt_and_geotiff_vlrs.las", "gps-time-nan.las", "no-points.las", "simple1_3.las",
-       "vegetation_1_3.las", "warsaw_small.las"]  # fmt: skip
+ODD = [
+    "1.0_0.las",
+    "4_6_crop.las",
+    "bad_vlr_count.las",
+    "epsg_4326.las",
+    "extra.laz",
+    "fullwave.laz",
+    "file_with_both_wkt_and_geotiff_vlrs.las",
+    "gps-time-nan.las",
+    "no-points.las",
+    "simple1_3.las",
+    "vegetation_1_3.las",
+    "warsaw_small.las",
+]
 
 
 @pytest.mark.parametrize("name", ODD)

@@ -105,11 +105,22 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
     memory_store.pieces["b"] = block_of([[30, 10, 5], [32, 12, 3]], source=1, flags=[0, WITHHELD_FLAG])
     work = AssembleBuckets((BucketParts(Cell(2, -1), (("a", 1, 3), ("b", 0, 2))),), (7, 18))
     record = assemble_buckets("memory", work)
-    assert record == {"buckets": [{
-        "cell": [2, -1], "n": 4, "n_candidates": 1, "n_participating": 2, "duplicates": {"within": 0, "between": 1},
-        "z_participating": [5, 5], "classes": {"1": 2, "2": 1, "7": 1},
-        "bounds": [180, -90, 183, -87], "z": [3, 5], "strays": [],
-    }]}  # fmt: skip
+    assert record == {
+        "buckets": [
+            {
+                "cell": [2, -1],
+                "n": 4,
+                "n_candidates": 1,
+                "n_participating": 2,
+                "duplicates": {"within": 0, "between": 1},
+                "z_participating": [5, 5],
+                "classes": {"1": 2, "2": 1, "7": 1},
+                "bounds": [180, -90, 183, -87],
+                "z": [3, 5],
+                "strays": [],
+            }
+        ]
+    }
     written = memory_store.written[CELL]
     assert memory_store.candidates[CELL] == 1
     assert written.xyz[:, 0].tolist() == [30, 10, 5]

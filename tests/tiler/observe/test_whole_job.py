@@ -107,9 +107,16 @@ def test_lines_for_programs_have_the_same_entries() -> None:
     assert [line["done"] for line in lines] == [0, 100, 200, 300, 400, 400, 400]
     assert {line["total"] for line in lines} == {1000}
     assert lines[4] | {"eta": 0, "progress": 0} == {
-        "stage": "spool", "title": "the spool", "done": 400, "total": 1000, "rate": 100.0, "progress": 0, "eta": 0,
-        "message": None, "level": "info",
-    }  # fmt: skip
+        "stage": "spool",
+        "title": "the spool",
+        "done": 400,
+        "total": 1000,
+        "rate": 100.0,
+        "progress": 0,
+        "eta": 0,
+        "message": None,
+        "level": "info",
+    }
     assert [line["message"] for line in lines if line["level"] == "warning"] == ["z looks like feet"]
 
 

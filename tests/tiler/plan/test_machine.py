@@ -18,8 +18,10 @@ def test_a_container_that_allows_less_than_the_machine_counts(
     (tmp_path / "groups").write_text("4:cpu,cpuacct:/\n3:memory:/app\n0::/pod/app\n")
     assert machine.memory_bytes() == psutil.virtual_memory().total
     limits = {
-        "pod/app/memory.max": "max", "pod/memory.max": "300000000", "memory/app/memory.limit_in_bytes": "9" * 18,
-    }  # fmt: skip
+        "pod/app/memory.max": "max",
+        "pod/memory.max": "300000000",
+        "memory/app/memory.limit_in_bytes": "9" * 18,
+    }
     for name, text in limits.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)

@@ -213,10 +213,20 @@ def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().refine_reach == 20 + 2 * 6 + 15 + 2 * 6
     assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
     assert {step.name: step.reach_m for step in Auto().passes} == {
-        "survey": 24.0, "seeds": 60.0, "densify": None, "refine": 60.0, "roofs": 229.0, "roofs2": 229.0,
-        "roofs3": 229.0, "roofs4": 229.0, "label": None,
-        "cells": 4.0, "objects": 320.0, "inner-objects": 320.0, "surface": 356.0,
-    }  # fmt: skip
+        "survey": 24.0,
+        "seeds": 60.0,
+        "densify": None,
+        "refine": 60.0,
+        "roofs": 229.0,
+        "roofs2": 229.0,
+        "roofs3": 229.0,
+        "roofs4": 229.0,
+        "label": None,
+        "cells": 4.0,
+        "objects": 320.0,
+        "inner-objects": 320.0,
+        "surface": 356.0,
+    }
 
 
 @pytest.mark.parametrize("name", list(SCENES))
