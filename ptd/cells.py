@@ -1,4 +1,4 @@
-"""Points by cells of a global lattice: linear passes over integers."""
+"""Which points lie in which cell of a square lattice, and the lowest point of each cell."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Int64 = npt.NDArray[np.int64]
 
 
 class Xyz(NamedTuple):
-    """Points as one argument of kernels: local counts, int32 [n] each, contiguous."""
+    """Coordinates of points, as one argument of kernels: local counts, int32 [n] each, contiguous."""
 
     x: Int32
     y: Int32
@@ -41,7 +41,7 @@ def cell_keys(
 
 @kernel
 def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
-    """Whether point i goes before j: lower, then lexicographically smaller in (x, y)."""
+    """Whether point i is lower than j; of equally high ones the one with the smaller x, then y."""
     if z[i] != z[j]:
         return bool(z[i] < z[j])
     if x[i] != x[j]:
@@ -65,7 +65,7 @@ def lowest_by_key(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> In
 
 @kernel
 def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> Int32:
-    """As `lowest_by_key`, without the empty cells, from an order that sorts the keys."""
+    """Lowest point of each occupied cell, from an order that sorts the keys."""
     out = np.empty(keys.size, np.int32)
     n = 0
     for k in range(order.size):

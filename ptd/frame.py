@@ -1,4 +1,4 @@
-"""What the integers mean: counts of a frame, and the window within which everything is known."""
+"""Integer coordinates (counts): their scale in metres, square cells on them, and the window that is known."""
 
 from __future__ import annotations
 
@@ -77,11 +77,11 @@ class Cells:
         return columns, rows
 
     def west(self, column: int) -> int:
-        """The first local count of a column."""
+        """Western edge of a column, local counts."""
         return -((-column * self.p) // self.q) - self.origin_x
 
     def south(self, row: int) -> int:
-        """The first local count of a row."""
+        """Southern edge of a row, local counts."""
         return -((-row * self.p) // self.q) - self.origin_y
 
 
@@ -99,16 +99,16 @@ class Window:
 
     @classmethod
     def everything(cls) -> Window:
-        """There are no other points anywhere."""
+        """The window of a whole cloud: no point lies outside it."""
         return cls(-OPEN, -OPEN, OPEN, OPEN)
 
     @property
     def closed(self) -> bool:
-        """Beyond some side there may be points that were not given."""
+        """Whether points may lie beyond at least one side."""
         return self != Window.everything()
 
     def inside(self, cells: Cells, steps: int = 0) -> Window:
-        """Closed sides moved inward to a border of cells, and `steps` cells further."""
+        """The window shrunk to whole cells, and by `steps` cells more, at the sides that are closed."""
 
         def first(index: int, count: int, start: int) -> int:
             return index + (start < count) + steps

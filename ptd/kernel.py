@@ -1,4 +1,4 @@
-"""The one place that names the compiler of the numeric kernels, and where their machine code is kept.
+"""Compiling numeric functions (kernels) with numba, and the folder where their machine code is kept.
 
 Kernels compile once per machine and version. numba's cache looks at a kernel's own source file alone, so after an
 upgrade it would take old code of the kernels that it calls for fresh. Here the folder's name holds a digest of the
@@ -69,7 +69,7 @@ def _trusted(path: Path) -> bool:
 
 
 def _take_over(shared: Path, folder: Path) -> None:
-    """Copy a cache, all of it or nothing; other processes may do so at the same time."""
+    """Copy a cache completely or not at all, even if other processes do so at the same time."""
     with suppress(OSError):
         folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
@@ -129,5 +129,5 @@ def inlined(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _
 
 @kernel
 def wide(value: SupportsInt) -> int:
-    """`value` as int64 inside kernels, so that callers of one kernel do not compile it for int32 as well."""
+    """A value as int64, so that a kernel is not compiled a second time for int32."""
     return np.int64(value)  # type: ignore[return-value]

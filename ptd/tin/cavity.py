@@ -1,4 +1,4 @@
-"""The cavity of a new vertex in the exact Delaunay TIN (Bowyer, 1981; Watson, 1981), found and filled.
+"""Find and refill the triangles that a new vertex replaces (Bowyer, 1981; Watson, 1981).
 
 The triangles in conflict with a new point form a disk without inner vertices, so the graph of their
 adjacencies is a tree. It is therefore enough to follow the contour of the disk: no triangle needs a mark,

@@ -1,4 +1,4 @@
-"""Which facets count (rule) and which are final whatever lies outside the window (certificate)."""
+"""Circumcircles of facets: which facets are too wide to count, and which no point outside a window can change."""
 
 import math
 from typing import NamedTuple
@@ -15,7 +15,7 @@ _ROUNDING = 32.0 * 2.0**-53
 
 
 class Rule(NamedTuple):
-    """Limits of a facet that is filled.
+    """Longest edge and largest circumradius of a facet that counts.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Rule(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Limits of the window in which all data are known: float64, local counts.
+    """Sides of the window in which all points are known: float64, local counts; infinite where open.
 
     Data are unknown at x < west, y < south, x > east, y > north. A side beyond which there are none is at
     infinity.
@@ -45,7 +45,7 @@ class Sides(NamedTuple):
 
 @kernel
 def unbounded(sides: Sides) -> bool:
-    """Whether all data are known."""
+    """Whether the window has no side beyond which points may lie."""
     return (
         sides.west == -math.inf
         and sides.south == -math.inf

@@ -1,4 +1,4 @@
-"""Incremental insertion into the exact Delaunay TIN: where a point goes, and what becomes of one that is there."""
+"""Insert one point into the Delaunay TIN; of points at one position the lowest stays."""
 
 from ptd.kernel import kernel, wide
 from ptd.tin.cavity import link_vertex

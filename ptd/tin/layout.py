@@ -1,4 +1,4 @@
-"""How a TIN lies in memory: three flat int32 arrays, and the kernels that read them.
+"""Memory layout of a TIN: three flat int32 arrays, and the kernels that read them.
 
 ``vertices`` (4 int32 a vertex)
     ``vertices[4 * v + 0 .. 2]`` are x, y, z in counts, ``vertices[4 * v + 3]`` is one incident triangle (-1

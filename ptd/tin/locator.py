@@ -1,4 +1,4 @@
-"""Where walks of point location start: a raster of triangles, so that points may come in any order."""
+"""Start triangles for point location: a raster of triangles near each place, for points in any order."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Locator(NamedTuple):
 
     @classmethod
     def of(cls, tin: Tin) -> Locator:
-        """For a TIN as it is now."""
+        """The raster of start triangles of a TIN, as it is now."""
         n = int(tin.counters[N_VERTICES])
         xy = tin.vertex_array[: 4 * n].reshape(-1, 4)
         west, south = int(xy[:, 0].min()), int(xy[:, 1].min())

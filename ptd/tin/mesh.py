@@ -104,7 +104,7 @@ class Tin:
 
     @property
     def mesh(self) -> Mesh:
-        """Its arrays as they are now, for kernels that only read them."""
+        """The arrays of the TIN, for kernels that only read them; valid until the next insertion."""
         return Mesh(self.vertex_array, self.triangle_array)
 
     @property

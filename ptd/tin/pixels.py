@@ -48,7 +48,7 @@ def _known_within(lattice: Lattice, sides: Sides, column: int, row: int, reach: 
 
 @kernel
 def mark_near_sides(marks: UInt8Array, lattice: Lattice, rule: Rule, sides: Sides) -> None:
-    """Say of each pixel how much of its surroundings is unknown: `_NEAR`, `_FAR`, both or nothing."""
+    """Note for each pixel whether unknown sides of the window are near enough to change it: `_NEAR`, `_FAR`, both."""
     slack = 1.0 + 2.0**-20
     far = 2.0 * rule.max_radius * slack + 2.0
     near = min(far, math.sqrt(float(rule.max_edge2)) * slack + 2.0)
@@ -60,7 +60,7 @@ def mark_near_sides(marks: UInt8Array, lattice: Lattice, rule: Rule, sides: Side
 
 @kernel
 def settle_marks(marks: UInt8Array) -> None:
-    """Turn what is known of each pixel into its mark, 0 or 1.
+    """Turn these notes into the final mark of each pixel: 1 if something unknown could change it, else 0.
 
     A pixel whose facet passes: that facet's circle, which reaches at most twice `max_radius` from the pixel, may hold
     unknown data. A pixel without one: unknown data could give it a facet. But the corners of that lie within its

@@ -24,7 +24,7 @@ Histogram = dict[int, int]
 
 
 class Tails(NamedTuple):
-    """The bins that stay, and how many points lie below and above them."""
+    """The range of heights that is kept, and how many points lie below and above it."""
 
     low_bin: int
     high_bin: int
@@ -74,7 +74,7 @@ def find_tails(counts: Histogram, gap_bins: int, share: float) -> Tails | None:
 
 
 def _inner_end(bins: list[int], counts: Histogram, gap: int, room: float) -> tuple[int, int]:
-    """The first bin behind the last gap before which there are at most `room` points, and how many these are."""
+    """The first bin after the last gap with at most `room` points before it, and how many these are."""
     end, cut, seen = bins[0], 0, 0
     for before, after in pairwise(bins):
         seen += counts[before]
@@ -86,7 +86,7 @@ def _inner_end(bins: list[int], counts: Histogram, gap: int, room: float) -> tup
 
 
 def outside(z: Int32, scale: Scale, kept: list[int] | None) -> tuple[Bool, Bool]:
-    """Which heights lie below the lowest and above the highest of the bins that stay; none if `kept` is None."""
+    """Which heights lie below and above the range that is kept; none if there is no such range."""
     if kept is None:
         return np.zeros(z.size, np.bool_), np.zeros(z.size, np.bool_)
     bins = _bins(z, scale)
@@ -95,7 +95,7 @@ def outside(z: Int32, scale: Scale, kept: list[int] | None) -> tuple[Bool, Bool]
 
 @dataclass(frozen=True)
 class ElevationsPass(Pass):
-    """A pass that only measures: ``tails`` of the state are the lowest and the highest bin that stay, or None.
+    """Measure the histogram of the run; ``tails`` of the state are the lowest and highest bin kept, or None.
 
     Attributes
     ----------

@@ -213,7 +213,7 @@ class Chen2023(Progressive):
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """The histogram of the run, then the rest."""
+        """Measure the histogram of heights, then filter; in matched clouds the same on robust cells."""
         tails = ElevationsPass(self.thin_cell_m, self.tail_gap_m, self.tail_share)
         own = (tails, ChenPass(self))
         return either_way(own) if self.robust_cells else own
@@ -232,12 +232,12 @@ class Chen2023(Progressive):
 
     @property
     def ring_cell_m(self) -> float:
-        """Half the largest building: smaller cells bound circles closer, and tiles need less halo."""
+        """Side of the cells of virtual points around the border: half the largest building."""
         return self.max_building_size_m / 2.0
 
     @property
     def margin_cells(self) -> int:
-        """Cells that hold the radius of both searches for outliers, groups or not.
+        """How many cells around a point the searches for outliers look at.
 
         At least one, so that each candidate of a core is known, and counts in one tile alone.
         """
@@ -268,7 +268,7 @@ class Chen2023(Progressive):
 
 @dataclass(frozen=True)
 class ChenPass(Pass):
-    """Steps 1 b to 6."""
+    """Everything after the histogram: outliers, seeds, densification, labels."""
 
     params: Chen2023
     name: str = "chen2023"
@@ -309,7 +309,7 @@ class ChenModel(Model):
             self._densify(x, y, z, low | other, window)
 
     def _outliers(self, x: Int32, y: Int32, z: Int32) -> tuple[Bool, Bool]:
-        """Step 1: those that are low noise, and others that are no ground."""
+        """Step 1: which points are low noise, and which are other outliers."""
         p, (low, high) = self.params, outside(z, self._scale, self._tails)
         rest = np.flatnonzero(~(low | high))
         args = x[rest], y[rest], z[rest], self._scale, p.low_radius_m, p.low_depth_m
@@ -343,7 +343,7 @@ class ChenModel(Model):
     def _noise(
         self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: Doubt
     ) -> npt.NDArray[np.intp]:
-        """Step 4: the points that are noise among the seeds; what is not certain about it is put in doubt."""
+        """Step 4: which seeds are noise; where that is not certain, the place is marked as in doubt."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # No two seeds share a position, nor does one with the ring: the ring lies in cells without seeds.
         real = np.isin(positions(vx, vy), positions(ring[:, 0], ring[:, 1]), invert=True)

@@ -1,4 +1,4 @@
-"""Cells without points in a minimum raster are filled from their surroundings (Chen 2023, 2.2 A)."""
+"""Fill the empty cells of a raster of lowest heights from their neighbours (Chen 2023, 2.2 A)."""
 
 from __future__ import annotations
 

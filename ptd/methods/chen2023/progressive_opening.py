@@ -52,7 +52,7 @@ def window_widths(initial: int, exponential: bool, building_cells: Fraction) -> 
 def height_thresholds(
     widths: list[int], slope: float, cell_m: float, initial_m: float, largest_m: float
 ) -> list[float]:
-    """Largest drop of ground with each window, metres (equation 3).
+    """How far ground may drop in the opening with each window, metres (equation 3).
 
     ``h_k = h_0`` for ``W_k <= 3``, else ``s (W_k - W_{k-1}) c + h_0``, and never more than ``h_max``. Before the first
     window the width is 1, one cell.
@@ -108,7 +108,7 @@ def opened_surfaces(heights: Int32, widths: list[int]) -> Iterator[Int32]:
 
 
 class Opening(NamedTuple):
-    """What to open with.
+    """Windows and height thresholds of a progressive opening.
 
     Attributes
     ----------
@@ -126,12 +126,12 @@ class Opening(NamedTuple):
 
     @property
     def reach(self) -> int:
-        """Cells: a filled raster decides on what is so far inside it."""
+        """How many cells around a cell decide on it."""
         return max(self.widths) - 1
 
 
 def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[Bool, Bool]:
-    """Which cells stand out like objects, and for which of them that is not certain.
+    """Which cells are higher than an opening allows for ground, and for which that is not certain.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Seeds that are noise, as their TIN shows: tips of over-long facets, clusters that stand out (Chen 2023, 2.3)."""
+"""Find seeds that are noise: peaks of over-long facets, small clusters above their surroundings (Chen 2023, 2.3)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Int64 = npt.NDArray[np.int64]
 
 
 class ClusterLimits(NamedTuple):
-    """What the paper calls large, narrow, small and locally prominent.
+    """Limits of facets and clusters: large, narrow, small and locally prominent, in the paper's words.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ def _sums(
 
 
 def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) -> tuple[Bool, Bool]:
-    """Which vertices are no ground, and for which that is not certain.
+    """Which seeds are noise, and for which that is not certain.
 
     1. Of each facet with an over-long side in space the highest corner is noise. All facets are judged in one TIN.
     2. The facets that are not narrow and hold no such noise are flooded: what they join is one cluster. A cluster of

@@ -1,4 +1,4 @@
-"""An even TIN: one ground point, picked at random, of each cell of a scale (Dong 2018, 2.5.3)."""
+"""A TIN of one random ground point per cell, against which all other points are tested (Dong 2018, 2.5.3)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def reach_m(scale_m: float) -> float:
 
 
 class EvenTin:
-    """The TIN of a window, and what it says of points.
+    """The even TIN of a window: distances and angles of points to it.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ class Dong2018(Dong2018Parameters):
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """Noise and density, stage one, then two for each scale."""
+        """Measure noise and density, stage one, then measure and join at each scale."""
         last = len(self.scales_m) - 1
         scales = ((MeasurePass(self, k), JoinPass(self, k, k == last)) for k in range(last + 1))
         own = (NoisePass(self), StageOnePass(self), *(step for pair in scales for step in pair))

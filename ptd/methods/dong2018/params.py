@@ -54,7 +54,7 @@ class Dong2018Parameters(Progressive):
 
     @property
     def scales_m(self) -> tuple[float, ...]:
-        """Those of stage two."""
+        """Sides of the cells of stage two, the largest first."""
         n = int(math.log2(self.first_scale_m / self.last_scale_m) + 1e-9)
         return tuple(self.first_scale_m / 2**k for k in range(n + 1))
 

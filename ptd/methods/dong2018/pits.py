@@ -1,4 +1,4 @@
-"""Narrow pits in the surface of lowest points: where image matching put points or clumps of them below the ground."""
+"""Find narrow pits in the surface of lowest points: blunders of image matching below the ground."""
 
 from __future__ import annotations
 

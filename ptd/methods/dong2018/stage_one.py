@@ -1,4 +1,4 @@
-"""The first two passes of `dong2018`: the noise and what follows from it, and stage one."""
+"""The first two passes of `dong2018`: measuring the noise, and stage one."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SPARSE_M2 = 1.0
 
 @dataclass(frozen=True)
 class NoisePass(Pass):
-    """Steps 1 and 2: density, noise, DEN_thr, and whether the run leaves stage one."""
+    """Steps 1 and 2: measure density and noise, and decide whether the run needs stage two."""
 
     params: Dong2018Parameters
     name: str = "noise"
@@ -103,7 +103,7 @@ def even_edge_m(density_m2: float) -> float:
 
 @dataclass(frozen=True)
 class StageOnePass(Pass):
-    """Step 3. In a dense cloud only vertices are ground afterwards, as in the paper; else `classic` as it is."""
+    """Step 3: densify until noise decides; in dense clouds only vertices are ground then, as in the paper."""
 
     params: Dong2018Parameters
     name: str = "stage-one"
@@ -118,7 +118,7 @@ class StageOnePass(Pass):
 
 
 class StageOneModel(Model):
-    """A window's TIN where noise begins to matter."""
+    """The TIN of a window after stage one."""
 
     def __init__(
         self, params: Dong2018Parameters, xyz: Int32, window: Window, scale: Scale, state: State

@@ -24,7 +24,7 @@ JOINED = 4
 
 @dataclass(frozen=True)
 class MeasurePass(Pass):
-    """Step 4, the thresholds of scale number `index`."""
+    """Step 4: measure the thresholds of distance and angle at one scale."""
 
     params: Dong2018Parameters
     index: int
@@ -109,7 +109,7 @@ class MeasurePass(Pass):
 
 @dataclass(frozen=True)
 class JoinPass(Pass):
-    """Step 4, the points that join at scale number `index`."""
+    """Step 4: add the points below the thresholds of one scale to the ground."""
 
     params: Dong2018Parameters
     index: int
@@ -139,7 +139,7 @@ class JoinPass(Pass):
 
 
 class JoinModel(Model):
-    """A window's even TIN and the thresholds; without a TIN labels stay as they are."""
+    """Test points against a window's even TIN; without a TIN labels stay as they are."""
 
     def __init__(self, even: EvenTin | None, distance_m: float, angle_deg: float, last: bool) -> None:
         self._even, self._distance_m, self._angle_deg = even, distance_m, angle_deg

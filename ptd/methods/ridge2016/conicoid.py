@@ -1,4 +1,4 @@
-"""Seeds that a conicoid through their neighbours contradicts.
+"""Test seeds against a curved surface (conicoid) fitted to their neighbours.
 
 Source: Remote Sensing 8(1):71 (2016), section 2.2. The heights of a seed and its neighbours in the TIN are observations
 of ``z = b0 + b1 x + b2 y + b3 x2 + b4 xy + b5 y2`` (equations 2-5); a seed whose normalised residual leaves the
@@ -26,7 +26,7 @@ Float64 = npt.NDArray[np.float64]
 
 UNKNOWNS = 6
 MIN_NEIGHBOURS = 10
-"""Fewer tell nothing: the seed stays."""
+"""With fewer neighbours a seed is not tested."""
 
 DEPENDENT = 1e-6
 """A column of which the others leave no more than this share makes the conicoid undetermined, a seed whose own height
@@ -164,7 +164,7 @@ def _statistics(
 def contradicted(
     tin: Tin, data: Bool, length: float, confidence: float, least: float, doubt: Doubt
 ) -> npt.NDArray[np.bool_]:
-    """Which seeds the conicoid through their neighbours contradicts, all judged against the same TIN.
+    """Which seeds do not fit the conicoid through their neighbours; all are judged against the same TIN.
 
     A seed is judged by the data vertices up to two edges away, over data vertices alone, and by itself. The paper
     judges one seed after the other, in the TIN that the ones before left: that depends on their order.

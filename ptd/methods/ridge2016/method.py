@@ -58,7 +58,7 @@ class Ridge2016(Ridge2016Parameters):
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """Where the growth ends the rounds it is counted first."""
+        """One pass; two where the number of rounds follows from how the terrain grows: the first counts."""
         own = (GrowthPass(self), TerrainPass(self)) if self.growth else (RidgePass(self),)
         return either_way(own) if self.robust_cells else own
 

@@ -1,4 +1,4 @@
-"""The passes of `ridge2016`: growth and terrain, or both in one where no growth is watched."""
+"""The passes of `ridge2016`: counting how the terrain grows, and labelling, or both in one."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ TERRAIN_HALO_CELLS = 4.0
 
 @dataclass(frozen=True)
 class GrowthPass(Pass):
-    """All rounds: what joins the terrain class in each, in `reduce` the round that is the last, and all vertices."""
+    """Run all rounds, count what joins the terrain class in each, and decide which round is the last."""
 
     params: Ridge2016Parameters
     name: str = "growth"
     title = "find when growth ends"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GrowthModel:
-        """Densify as long as any run would."""
+        """Run all rounds that may be needed."""
         return GrowthModel(self.params, points, window, core, scale)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
@@ -140,7 +140,7 @@ class GrowthModel(Model):
 
 @dataclass(frozen=True)
 class TerrainPass(Pass):
-    """The TIN of the last round, and the labels of all points."""
+    """Build the TIN of the last round and label all points."""
 
     params: Ridge2016Parameters
     name: str = "ridge2016"
@@ -149,7 +149,7 @@ class TerrainPass(Pass):
 
     @property
     def halo_m(self) -> float:  # type: ignore[override]
-        """For circles alone: no round follows."""
+        """Metres around a tile that circles of the last TIN need; no round follows."""
         return TERRAIN_HALO_CELLS * self.params.max_building_size_m
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TerrainModel:

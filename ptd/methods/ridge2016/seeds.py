@@ -23,7 +23,7 @@ from ptd.tin.mesh import Tin
 
 
 class Prepared:
-    """A window before its densification: no outliers, refined seeds.
+    """A window ready for densification: outliers removed, ridge points added, seeds tested.
 
     Attributes
     ----------

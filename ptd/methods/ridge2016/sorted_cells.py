@@ -32,7 +32,7 @@ def _sort_stacks(x: Int32, y: Int32, z: Int32, starts: Int64, order: Int64) -> N
 
 
 class Raster(NamedTuple):
-    """Where a cell's stack is, for kernels; see `ptd.cells.CellIndex` and `ptd.frame.Cells`."""
+    """Which points lie in each cell (its stack), for kernels; see `ptd.cells.CellIndex` and `ptd.frame.Cells`."""
 
     table: CellTable
     col0: int
@@ -108,7 +108,7 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: Raster, x3: int, y3: int
 def places_in_stacks(
     of_x: Int32, of_y: Int32, of_z: Int32, x: Int32, y: Int32, z: Int32, raster: Raster
 ) -> Int32:
-    """Where points are in `Stacks`, -1 for those that are in none: int32 [n].
+    """Index of each point within `Stacks`, -1 for those that are not in it: int32 [n].
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ def _same_corners(
 
 
 class _Labelled(NamedTuple):
-    """What is known of each point from the last TIN.
+    """Label of each point, and the triangle it rests on, from the last TIN.
 
     Attributes
     ----------
