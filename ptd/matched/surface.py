@@ -5,7 +5,8 @@
    into plants there are as many cells as on it. Cells of what is terrain as a whole are no plants: a hull lies below
    crests.
 2. Still less stiff hulls follow banks, ridges and crests, where what lies above the surface is terrain's as a whole
-   (`ptd.matched.objects`), or nearly all around is ground.
+   (`ptd.matched.objects`), or nearly all around is ground. The least stiff one would follow cars too: where it is
+   level, it holds on what is wider.
 3. `ROUNDS` times, the mean residual of the cells that lie about the surface is added, at two scales; in the last of
    them what rises beside objects counts less. Noise is the root mean square of the residuals below the surface: what
    lies above may be plants.
@@ -21,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import correlate1d, maximum_filter
+from scipy.ndimage import correlate1d, maximum_filter, minimum_filter
 
 from ptd.cells import Int32
 from ptd.frame import Scale
@@ -35,13 +36,22 @@ STIFF, PLIABLE = Hull(0.01, 11.5), Hull(0.04, 11.5)
 RIDGES = (Hull(0.08, 6.0), Hull(0.2, 6.0), Hull(0.5, 6.0))
 OPEN_GROUND = 0.3
 """Curvature up to which open ground all around is reason enough; beyond, only terrain as a whole is: cars are small."""
+CREST_SLOPE, CREST_CELLS = (0.1, 0.2), 7
+"""Mean slope of the surroundings (`TERRAIN_M`) from which on, and at which, hulls of more than that curvature hold.
+Where it is level they hold on what is so wide at least, a dam: cars, too, are linked to the ground by some cell."""
+STEEP = (0.3, 0.6)
+"""Mean slope from which on, and at which, terrain just above a ridge's hull is no sign of plants: hulls cut crests."""
 BAND_M, BAND_SIGMAS, BAND_SLOPE = 0.15, 2.5, 0.15
 """What lies on a hull lies so near it: metres, times the noise, and metres per unit of slope."""
 CONTRAST_M, CONTRAST = 12.0, (0.5, 1.0)
 """Standard deviation of the surroundings in which cells are counted; contrast up to which the pliable hull holds, and
 from which on the stiff one does: half as many above a hull as on it, as many."""
-RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST = 6.0, (0.6, 0.85), (0.05, 0.15)
-"""The same for ridges, and the share of open ground or of terrain from which on, and at which, their hulls hold."""
+RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST, CREST_CONTRAST = 6.0, (0.6, 0.85), (0.02, 0.06), (0.05, 0.15)
+"""The same for ridges, and the share of open ground or of terrain from which on, and at which, their hulls hold. The
+last is for hulls that hold where it is steep."""
+LEAST_LEFT = 0.3
+"""Open ground is a share of the cells that are left, beside a roof or a pond as in the open, but not of fewer than
+this share of all places."""
 TERRAIN_M = 8.0
 """Standard deviation of the surroundings in which cells above the surface are counted."""
 
@@ -102,8 +112,11 @@ class _Cells:
         """Gaussian mean of the values of the cells that are there, as slopes need it; 0 where none is near."""
         return smoothed(np.where(self.there, values, 0.0), SLOPE_SMOOTHED_M) / np.maximum(self.near, 1e-9)
 
-    def around(self, which: Bool, std_m: float) -> Float64:
-        """Share of all places around each cell that hold a chosen one, by blocks of `SHARE_BLOCK` cells."""
+    def around(self, which: Bool | Float64, std_m: float) -> Float64:
+        """Share of all places around each cell that hold a chosen one, by blocks of `SHARE_BLOCK` cells.
+
+        Values instead of choices are summed over these places, with weights that add up to 1.
+        """
         rows, columns = which.shape
         down, right = -rows % SHARE_BLOCK, -columns % SHARE_BLOCK
         padded = np.pad(which, ((0, down), (0, right))).astype(np.float64)
@@ -140,7 +153,8 @@ def reach_cells() -> int:
     """Cells beyond which nothing has a part in the surface."""
     slope = _radius(SLOPE_SMOOTHED_M) + 1
     bent = max(h.reach for h in (STIFF, PLIABLE, *RIDGES)) + slope + _share_radius(CONTRAST_M)
-    bent += len(RIDGES) * max(slope + _share_radius(RIDGE_M), _share_radius(TERRAIN_M))
+    bent += len(RIDGES) * (slope + max(_share_radius(RIDGE_M), _share_radius(TERRAIN_M)))
+    bent += sum(CREST_CELLS - 1 for h in RIDGES if h.curvature > OPEN_GROUND)
     about = max(slope, _radius(NOISE_M)) + _share_radius(CONTRAST_M)
     rounds = ROUNDS * sum(_radius(m) for m in SCALES_M) + ROUNDS - PLAIN_ROUNDS
     return bent + 2 * about + rounds + _radius(max(EXTENDED_M))
@@ -217,34 +231,49 @@ def _slope(cells: _Cells, surface: Float64) -> Float64:
 
 
 def _contrast(
-    cells: _Cells, counted: Bool, surface: Float64, sigma_m: float, std_m: float
+    cells: _Cells, counted: Bool | Float64, surface: Float64, sigma_m: float, std_m: float
 ) -> tuple[Float64, Float64]:
-    """Cells just above a surface that are counted in parts of those on it, around each cell; share of the latter."""
+    """Cells just above a surface, as far as counted, in parts of those on it, around each cell; share of the latter."""
     band = BAND_M + BAND_SIGMAS * sigma_m + BAND_SLOPE * _slope(cells, surface)
     residual = cells.height - surface
     on = cells.around(cells.there & (np.abs(residual) < band), std_m)
-    above = cells.around(counted & (residual >= band) & (residual < 3.0 * band), std_m)
-    return above / np.maximum(on, 1e-3), on
+    just_above = cells.there & (residual >= band) & (residual < 3.0 * band)
+    return cells.around(counted * just_above, std_m) / np.maximum(on, 1e-3), on
 
 
 def _bent(cells: _Cells, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m: float) -> Float64:
     """The hull that bends as much as the cells show."""
     stiff = hull(STIFF)
     pliable = np.maximum(hull(PLIABLE), stiff)
-    contrast, _ = _contrast(cells, cells.there & ~terrain, pliable, sigma_m, CONTRAST_M)
+    contrast, _ = _contrast(cells, ~terrain, pliable, sigma_m, CONTRAST_M)
     surface = pliable - _ramp(contrast, CONTRAST) * (pliable - stiff)
+    left = np.maximum(cells.around(cells.there, RIDGE_M), LEAST_LEFT)
     for rule in RIDGES:
+        slope = _slope_around(cells, surface)
         share = _of_terrain(cells, terrain, surface, sigma_m)
-        if rule.curvature > OPEN_GROUND and (share <= RIDGE_SHARE[0]).all():
+        crests = rule.curvature > OPEN_GROUND
+        if crests and (share <= RIDGE_SHARE[0]).all():
             continue
-        ridges = np.maximum(hull(rule), surface)
-        contrast, on = _contrast(cells, cells.there, ridges, sigma_m, RIDGE_M)
-        if rule.curvature <= OPEN_GROUND:
-            share = np.maximum(share, on)
-        surface = surface + _ramp(share, RIDGE_SHARE) * (1.0 - _ramp(contrast, RIDGE_CONTRAST)) * (
-            ridges - surface
-        )
+        raised = np.maximum(hull(rule) - surface, 0.0)
+        if crests:
+            least = minimum_filter(raised, CREST_CELLS, mode="constant")
+            wide = maximum_filter(least, CREST_CELLS, mode="constant")
+            raised = wide + _ramp(slope, CREST_SLOPE) * (raised - wide)
+        ridges = surface + raised
+        counted = 1.0 - terrain * _ramp(slope, STEEP)
+        contrast, on = _contrast(cells, counted, ridges, sigma_m, RIDGE_M)
+        if not crests:
+            share = np.maximum(share, on / left)
+        clear = 1.0 - _ramp(contrast, CREST_CONTRAST if crests else RIDGE_CONTRAST)
+        surface = surface + _ramp(share, RIDGE_SHARE) * clear * raised
     return surface
+
+
+def _slope_around(cells: _Cells, surface: Float64) -> Float64:
+    """Mean slope of the cells around each one."""
+    return cells.around(_slope(cells, surface), TERRAIN_M) / np.maximum(
+        cells.around(cells.there, TERRAIN_M), 1e-3
+    )
 
 
 def _of_terrain(cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float) -> Float64:
