@@ -113,6 +113,11 @@ class RunConfig:
         unit="m2",
         kind="area",
     )
+    bridges: str = setting(
+        "keep", "decks of bridges that the filter left in the terrain: keep, or remove (those that stand free, the "
+        "ground 2 m lower beside both edges and a road at both ends, get class 17; OUT/bridges.gpkg shows them)",
+        kind="choice", choices=("keep", "remove"),
+    )  # fmt: skip
     contour_interval: Fraction | None = setting(
         None, "difference of height between contours; default: a round number of the CRS's unit that gives 50 levels "
         "at most", unit="m", kind="length",

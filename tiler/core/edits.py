@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,14 +21,45 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 
 NOT_GROUND, TO_GROUND, VOID, FLAT = "not_ground", "ground", "void", "flat"
 ACTIONS = (NOT_GROUND, TO_GROUND, VOID, FLAT)
-OF_POINTS, OF_PIXELS = (NOT_GROUND, TO_GROUND), (VOID, FLAT)
+DECK = "deck"
+"""In place of an action that a person asks for: points on the deck of a bridge that was found."""
+OF_POINTS, OF_PIXELS = (NOT_GROUND, TO_GROUND, DECK), (VOID, FLAT)
 """Those that say what points are, and those that say what the terrain holds."""
 
-UNTOUCHED, FORCED_OFF, FORCED_ON = -1, 0, 1
-"""What edits say of a point: nothing, not ground, ground."""
+UNTOUCHED, FORCED_OFF, FORCED_ON, FORCED_BRIDGE = -1, 0, 1, 2
+"""What edits say of a point: nothing, not ground, ground, bridge."""
 
 Int8 = npt.NDArray[np.int8]
 Classes = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class DeckSurface:
+    """Height of a deck: a + b s + c s^2 + d t, of the places (x, y) + s (ux, uy) + t (-uy, ux); all of it in counts.
+
+    ``low``, ``high``: counts by which a point of it may lie below and above.
+    """
+
+    x: float
+    y: float
+    ux: float
+    uy: float
+    a: float
+    b: float
+    c: float
+    d: float
+    low: float
+    high: float
+
+    def holds(
+        self, x: npt.NDArray[np.int64], y: npt.NDArray[np.int64], z: npt.NDArray[np.int32]
+    ) -> npt.NDArray[np.bool_]:
+        """Which points are as high as the deck."""
+        dx, dy = x - self.x, y - self.y
+        s, t = dx * self.ux + dy * self.uy, dy * self.ux - dx * self.uy
+        off = z - (self.a + self.b * s + self.c * s * s + self.d * t)
+        found: npt.NDArray[np.bool_] = (off >= -self.low) & (off <= self.high)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +76,8 @@ class Edit:
         Counts of the height of `FLAT`.
     lowest : bool
         `TO_GROUND` takes the lowest point of each cell, as the input calls none inside ground.
+    deck : DeckSurface or None
+        Of `DECK`.
     """
 
     number: int
@@ -52,11 +85,13 @@ class Edit:
     area: Area
     z: int | None = None
     lowest: bool = False
+    deck: DeckSurface | None = None
 
     @cached_property
     def digest(self) -> list[Any]:
         """What a result depends on."""
-        return [self.action, self.area.key, self.z, self.lowest]
+        deck = [] if self.deck is None else list(astuple(self.deck))
+        return [self.action, self.area.key, self.z, self.lowest, *deck]
 
     def to_json(self) -> dict[str, Any]:
         """A JSON-able description."""
@@ -66,12 +101,15 @@ class Edit:
             "rings": self.area.to_json(),
             "z": self.z,
             "lowest": self.lowest,
+            "deck": None if self.deck is None else list(astuple(self.deck)),
         }
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Edit:
         """The edit that `to_json` described."""
-        return cls(data["number"], data["action"], Area.from_json(data["rings"]), data["z"], data["lowest"])
+        deck = None if data.get("deck") is None else DeckSurface(*data["deck"])
+        area = Area.from_json(data["rings"])
+        return cls(data["number"], data["action"], area, data["z"], data["lowest"], deck)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +157,8 @@ class Edits:
             inside = edit.area.inside(x, y)
             if edit.action == NOT_GROUND:
                 found[inside] = FORCED_OFF
+            elif edit.deck is not None:
+                found[inside & edit.deck.holds(x, y, block.xyz[2])] = FORCED_BRIDGE
             elif edit.action == TO_GROUND and inside.any():
                 possible = inside & can_be_ground(block, classes)
                 rows = np.flatnonzero(
@@ -132,8 +172,11 @@ class Edits:
     def labels(self, block: PointBlock, labels: Classes, origin: tuple[int, int]) -> Classes:
         """Labels of the points of a bucket as the edits want them."""
         forced = self.forced(block, labels, origin)
-        off = (forced == FORCED_OFF) & ((labels & ~np.uint8(MARK_BIT)) == GROUND)
-        return np.where(forced == FORCED_ON, np.uint8(GROUND), np.where(off, np.uint8(UNCLASSIFIED), labels))
+        found = labels & ~np.uint8(MARK_BIT)
+        off = (forced == FORCED_OFF) & (found == GROUND)
+        bridge = (forced == FORCED_BRIDGE) & np.isin(found, (GROUND, UNCLASSIFIED))
+        labels = np.where(bridge, np.uint8(BRIDGE), np.where(off, np.uint8(UNCLASSIFIED), labels))
+        return np.where(forced == FORCED_ON, np.uint8(GROUND), labels)
 
     def set_heights(
         self, spec: RasterSpec, block: Block, heights: npt.NDArray[np.float32]
@@ -156,6 +199,12 @@ class Edits:
     def from_json(cls, data: dict[str, Any]) -> Edits:
         """The edits that `to_json` described."""
         return cls(tuple(Edit.from_json(e) for e in data["edits"]), Lattice.from_json(data["cell"]))
+
+
+def ground_with(is_ground: npt.NDArray[np.bool_], forced: Int8) -> npt.NDArray[np.bool_]:
+    """Which points are ground once the edits had their say."""
+    found: npt.NDArray[np.bool_] = (is_ground & (forced == UNTOUCHED)) | (forced == FORCED_ON)
+    return found
 
 
 def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:

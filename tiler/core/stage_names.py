@@ -11,6 +11,8 @@ _TITLES = {
     "identify": "look whether inputs changed",
     "spool": "read the clouds",
     "assemble": "sort the points",
+    "deck-cells": "look for bridges",
+    "decks": "look at what may be a bridge",
     "edits": "look at the corrections",
     "water": "find how high water stands",
     "verify": "look whether results changed",

@@ -1,5 +1,6 @@
 """Export: what people open, made from what the store holds."""
 
+from tiler.export.bridges import write_bridges
 from tiler.export.classified import write_classified
 from tiler.export.cog import write_cog
 from tiler.export.contours import write_contours, write_spots
@@ -9,6 +10,7 @@ from tiler.export.outline import write_outline
 from tiler.export.sheet_index import write_sheet_index
 from tiler.export.water import write_water
 from tiler.export.work import (
+    WriteBridges,
     WriteClassified,
     WriteCog,
     WriteContours,
@@ -21,6 +23,7 @@ from tiler.export.work import (
 )
 
 __all__ = [
+    "WriteBridges",
     "WriteClassified",
     "WriteCog",
     "WriteContours",
@@ -30,6 +33,7 @@ __all__ = [
     "WriteSheetIndex",
     "WriteSpots",
     "WriteWater",
+    "write_bridges",
     "write_classified",
     "write_cog",
     "write_contours",

@@ -115,6 +115,19 @@ class WriteMosaic(ProductFile):
     sheets: tuple[tuple[str, RasterSpec], ...]
 
 
+DrawnDeck = tuple[tuple[int, ...], float, float, float, int]
+"""Outline as x, y, x, y, ... in counts; length, width and clearance in metres; points seen beneath."""
+
+
+@dataclass(frozen=True)
+class WriteBridges:
+    """The file ``name`` in ``out`` (a folder that exists, or a URL) of decks."""
+
+    name: str
+    decks: tuple[DrawnDeck, ...]
+    out: str
+
+
 @dataclass(frozen=True)
 class SheetFile:
     """A sheet that was written: its product, path in OUT, pixels, percentage without a value, lowest and highest."""

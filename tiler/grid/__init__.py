@@ -2,6 +2,7 @@
 
 from tiler.grid.blank import blank_blocks
 from tiler.grid.block import SMALLEST_PART, full_halo, grid_block
+from tiler.grid.bridges import examine_deck, examined, find_deck_cells
 from tiler.grid.density import density_block
 from tiler.grid.derived import derive_block
 from tiler.grid.distance import distance_block
@@ -17,7 +18,9 @@ from tiler.grid.work import (
     BlankBlocks,
     DeriveBlock,
     DistanceBlock,
+    ExamineDeck,
     FillBlock,
+    FindDeckCells,
     GridBlock,
     LevelWater,
     MakeSurvey,
@@ -36,7 +39,9 @@ __all__ = [
     "BlankBlocks",
     "DeriveBlock",
     "DistanceBlock",
+    "ExamineDeck",
     "FillBlock",
+    "FindDeckCells",
     "GridBlock",
     "GroundRule",
     "LevelWater",
@@ -53,7 +58,10 @@ __all__ = [
     "density_block",
     "derive_block",
     "distance_block",
+    "examine_deck",
+    "examined",
     "fill_block",
+    "find_deck_cells",
     "find_voids",
     "full_halo",
     "grid_block",

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.classes import GROUND
-from tiler.core.edits import FORCED_OFF, FORCED_ON, TO_GROUND, Classes, Edit, Edits, can_be_ground
+from tiler.core.edits import TO_GROUND, Classes, Edit, Edits, can_be_ground, ground_with
 from tiler.core.points import PointBlock
 from tiler.grid.ground import read_classes
 from tiler.grid.work import SurveyEdit
@@ -46,7 +46,7 @@ def survey_edit(store_url: str, work: SurveyEdit) -> dict[str, Any]:
     for block, classes, is_ground in buckets():
         x, y = (block.xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
         inside, forced = edit.area.inside(x, y), edits.forced(block, classes, origin)
-        after = (is_ground & (forced != FORCED_OFF)) | (forced == FORCED_ON)
+        after = ground_with(is_ground, forced)
         counts += [inside.sum(), (inside & is_ground).sum(), (inside & after).sum()]
     points, before, after_it = counts.tolist()
     return {"points": points, "ground_before": before, "ground_after": after_it, "lowest": lowest}

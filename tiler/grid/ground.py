@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ptd.gridding.wall_feet import beside_objects
 from tiler.core.classes import GROUND, MARK_BIT, NOISE, WITHHELD_FLAG
-from tiler.core.edits import FORCED_OFF, FORCED_ON, OF_POINTS
+from tiler.core.edits import OF_POINTS, ground_with
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
@@ -112,7 +112,7 @@ def read_classes(
     is_ground = rule.is_ground()[classes]
     if edits is not None:
         forced = edits.forced(block, classes, store.meta.frame.origin)
-        is_ground = (is_ground & (forced != FORCED_OFF)) | (forced == FORCED_ON)
+        is_ground = ground_with(is_ground, forced)
     return block, classes, is_ground
 
 

@@ -117,6 +117,31 @@ class SurfaceBlock(TinBlock):
     terrain: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class FindDeckCells(BlockWork):
+    """A block of coarse cells of which some may be decks of bridges; ``rule`` as without corrections."""
+
+    rule: GroundRule
+
+
+@dataclass(frozen=True)
+class ExamineDeck:
+    """Cells of a raster that together may be the deck of a bridge.
+
+    Attributes
+    ----------
+    rule : GroundRule
+    spec : RasterSpec
+        Of the cells.
+    cells : tuple of (row, column, direction)
+        See `tiler.grid.deck_cells.deck_cells`.
+    """
+
+    rule: GroundRule
+    spec: RasterSpec
+    cells: tuple[tuple[int, int, int], ...]
+
+
 @dataclass(frozen=True)
 class SurveyEdit:
     """A correction whose points are counted: ``cell`` as of `tiler.core.edits.Edits`, ``cells`` that it touches."""

@@ -32,6 +32,8 @@ from tiler.plan.memory import (
 )
 from tiler.store import StoreMeta
 
+BRIDGE_REACH_M = 300
+"""Around an area in which points are read for a bridge across its border: as long as the longest."""
 KEEP = "keep"
 """The method that trusts the classes of the input."""
 
@@ -171,9 +173,11 @@ class Plan:
     def margin(self) -> int:
         """Counts around the area within which points are read.
 
-        The widest halo that a pass starts with, what labels are made with, and what a facet at the edge can reach.
+        The widest halo that a pass starts with, what labels are made with and bridges are found by, and what a facet at
+        the edge can reach.
         """
         labels = max((Fraction(step.margin_m) for step in self.steps), default=Fraction(0))
+        labels += BRIDGE_REACH_M if self.config.bridges == "remove" else 0
         return math.ceil(self.meta.frame.counts(max(Fraction(self.halo_m), self.grid_halo, labels)))
 
     def buckets_of(self, source: SourceInfo) -> Runs | None:

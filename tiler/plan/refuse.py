@@ -19,6 +19,7 @@ from tiler.io.locations import joined
 from tiler.io.overwrite_check import Target, check_folder, check_targets
 from tiler.io.result_folder import (
     ASIDE,
+    BRIDGES,
     CLASSIFIED,
     EVENTS,
     LEGEND,
@@ -110,6 +111,7 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     exported, sheets, out = plan.config.exported, plan.config.sheets is not None, folder_here(products)
     wanted = [f"{name}.{'vrt' if sheets else 'tif'}" for name in exported]
     wanted += [f"{name}.gpkg" for name in plan.config.drawn]
+    wanted += [BRIDGES] if plan.config.bridges == "remove" else []
     wanted += [SHEETS] if sheets else [f"{name}.tif{LEGEND}" for name in exported if PRODUCTS[name].values]
     if plan.config.outline == "survey":
         wanted.append(OUTLINE)

@@ -42,6 +42,7 @@ class Facts(TypedDict, total=False):
     statistics: dict[str, Any]  # state after each pass of the method
     filter: dict[str, Any]  # points of each class, tiles, marks, overlap work
     breaklines: dict[str, Any]
+    bridges: list[dict[str, Any]]  # sizes and outline of each that was left out
     edits: list[dict[str, Any]]  # what each correction changed
     water: list[Any]  # each body of water, with its level and the pixels that it has
     dtm: dict[str, Any]  # size of the raster, pixels with a height, marks, blocks

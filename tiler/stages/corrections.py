@@ -18,11 +18,13 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.errors import ProcessingError
 from tiler.export import WriteClassified
+from tiler.export.work import DrawnDeck
 from tiler.grid import FillBlock, OutlineBlock, PointsBlock, SurveyEdit, full_halo, survey_edit
 from tiler.plan import Plan
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Placed, Task, digest_of
+from tiler.stages.bridges import find_bridges
 from tiler.stages.tasks import Assembled, ground_rule
 from tiler.store import Commits
 from tiler.version import __version__
@@ -45,11 +47,14 @@ class Corrections:
     lines : Breaklines or None
     line_digests : mapping of Cell to str
         Of the breaklines in each bucket of the lattice, whether or not it has points.
+    decks : tuple of DrawnDeck
+        Of bridges that are left out; the edits say of what points they are.
     """
 
     edits: Edits | None = None
     lines: Breaklines | None = None
     line_digests: Mapping[Cell, str] | None = None
+    decks: tuple[DrawnDeck, ...] = ()
 
     def of_rasters(self, plan: Plan, name: str, tasks: Iterable[Task]) -> list[Task]:
         """The tasks of a raster, with corrections and with digests of those that touch their blocks."""
@@ -98,9 +103,13 @@ def correct(
     """Take up what the plan read; digests of the labels as they are with it, and what holds besides."""
     plan, found = job.plan, Corrections()
     corrected = dict(labels)
-    if plan.edits:
-        found = replace(found, edits=_surveyed(job, assembled, labels))
-        corrected = _labels(plan, found.edits, labels)
+    decks, drawn = find_bridges(job, assembled, labels)
+    if decks or plan.edits:
+        cell = Lattice(plan.meta.frame.counts(plan.resolution))
+        edits = Edits((*decks, *_surveyed(job, assembled, labels, cell)), cell)
+        job.store.put_edits(edits)
+        found = replace(found, edits=edits, decks=drawn)
+        corrected = _labels(plan, edits, labels)
     if plan.lines:
         pixel = plan.meta.frame.counts(plan.resolution)
         lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(SHORTEST_M), assembled.bounds)
@@ -114,10 +123,10 @@ def correct(
     return corrected, found
 
 
-def _labels(plan: Plan, edits: Edits | None, labels: Mapping[Cell, str]) -> dict[Cell, str]:
+def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
     """Digests of labels, others where an edit touches a bucket."""
     found = dict(labels)
-    for edit in () if edits is None else edits.edits:
+    for edit in edits.edits:
         for cell in _touched(plan.meta.bucket, edit, labels) if edit.action in OF_POINTS else ():
             found[cell] = digest_of(found[cell], edit.digest, str(plan.resolution))
     return found
@@ -128,10 +137,11 @@ def _touched(lattice: Lattice, edit: Edit, cells: Mapping[Cell, Any]) -> list[Ce
     return [cell for cell in near if edit.area.touches(lattice.bounds(cell))]
 
 
-def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str]) -> Edits:
-    """The edits, of each of which is known what it finds inside; kept in the store for the tasks."""
+def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str], cell: Lattice) -> tuple[Edit, ...]:
+    """The edits that people drew, of each of which is known what it finds inside."""
     plan = job.plan
-    cell = Lattice(plan.meta.frame.counts(plan.resolution))
+    if not plan.edits:
+        return ()
     tasks = {edit.number: _survey_task(plan, edit, cell, assembled, labels) for edit in plan.edits}
     made = run_stage(job, "edits", tasks.values())
     missing = [task for task in tasks.values() if task.key not in made]
@@ -140,10 +150,9 @@ def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str]) -> Edi
             f"--edits: {missing[0].key} could not be applied: {job.record.failed[-1]['error']}"
         )
     records = {number: made[task.key][1] for number, task in tasks.items()}
-    edits = Edits(tuple(replace(e, lowest=records[e.number]["lowest"]) for e in plan.edits), cell)
-    job.store.put_edits(edits)
-    job.facts["edits"] = [_fact(edit, records[edit.number]) for edit in edits.edits]
-    rings = [[ring for rings in edit.area.polygons for ring in rings] for edit in edits.edits]
+    edits = tuple(replace(e, lowest=records[e.number]["lowest"]) for e in plan.edits)
+    job.facts["edits"] = [_fact(edit, records[edit.number]) for edit in edits]
+    rings = [[ring for rings in edit.area.polygons for ring in rings] for edit in edits]
     if sum(len(ring) for of_edit in rings for ring in of_edit) <= MOST_PLACES:
         for fact, of_edit in zip(job.facts["edits"], rings, strict=True):
             fact["rings"] = _drawn([np.vstack((ring, ring[:1])) for ring in of_edit])

@@ -10,17 +10,19 @@ from typing import Any
 from tiler.config import NO_WATER
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.export import (
+    WriteBridges,
     WriteContours,
     WriteOutline,
     WriteSpots,
     WriteWater,
+    write_bridges,
     write_contours,
     write_outline,
     write_spots,
     write_water,
 )
 from tiler.export.work import DrawnFile
-from tiler.io.result_folder import OUTLINE, WATER
+from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.schedule import Task, Work, digest_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.raster_table import final
@@ -56,6 +58,9 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
         outline = WriteOutline(name=OUTLINE, survey="survey", coarse=g.coarse, out=out, area=area_key(plan))
         digest = digest_of(__version__, outline, checksums(g.made["survey"]))
         yield Task("export", OUTLINE, digest, write_outline, outline)
+    if g.decks:
+        bridges = WriteBridges(BRIDGES, tuple(g.decks), out)
+        yield Task("export", BRIDGES, digest_of(__version__, bridges), write_bridges, bridges)
     if config.water != NO_WATER:
         water = WriteWater(WATER, g.waters.key, out)
         yield Task("export", WATER, digest_of(__version__, water), write_water, water)

@@ -42,7 +42,7 @@ BLANK_BLOCKS = 256
 def grid(job: Job, assembled: Assembled, labels: dict[Cell, str], corrections: Corrections) -> Gridding:
     """All rasters that the products need, block by block."""
     _settle_surface(job)
-    gridding = Gridding(job.plan, assembled, labels, _holes(job))
+    gridding = Gridding(job.plan, assembled, labels, _holes(job), decks=corrections.decks)
     for raster in wanted(job.plan.config):
         name = raster.name
         if name == "dtm-outlined" and job.plan.config.water != NO_WATER:

@@ -10,6 +10,7 @@ from fractions import Fraction
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.water import Waters
+from tiler.export.work import DrawnDeck
 from tiler.plan import Plan
 from tiler.schedule import Task, Work
 from tiler.stages.tasks import Assembled, raster_spec
@@ -70,6 +71,8 @@ class Gridding:
     ----------
     holes : sequence of Bounds
         Where tiles failed, so that heights there, if any, come from elsewhere.
+    decks : sequence of DrawnDeck
+        Of bridges that are left out of the terrain.
     waters : Waters
         Bodies of water, once the terrain around them is made.
     """
@@ -79,6 +82,7 @@ class Gridding:
     labels: Mapping[Cell, str]
     holes: Sequence[Bounds] = ()
     made: dict[str, Commits] = field(default_factory=dict)
+    decks: Sequence[DrawnDeck] = ()
     waters: Waters = field(default_factory=lambda: Waters(()))
 
     @property

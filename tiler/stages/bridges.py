@@ -1,0 +1,125 @@
+"""The bridges of a run: decks that the filter left in the terrain, found run-wide, and taken out as corrections are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import shapely
+from scipy import ndimage
+
+from tiler.core.area import Area
+from tiler.core.edits import DECK, DeckSurface, Edit
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Cell
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.export.work import DrawnDeck
+from tiler.grid import ExamineDeck, FindDeckCells, examine_deck, examined, find_deck_cells
+from tiler.grid.deck_cells import DROP_M, REACH_M
+from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
+from tiler.schedule import Task, digest_of
+from tiler.stages.gridding import Gridding
+from tiler.stages.tasks import Assembled, ground_rule
+from tiler.store import Commits
+from tiler.version import __version__
+
+REMOVE = "remove"
+CELLS, DECKS = "deck-cells", "decks"
+"""Names of the stages."""
+WIDEST_M = 600.0
+"""A place that is larger is no bridge, and its points are too many to look at once."""
+FEWEST_CELLS = 3
+ABOVE_M = 0.6
+"""Of a point of a deck above its surface; below it is nearer to the deck than to what lies beneath."""
+
+
+def find_bridges(
+    job: Job, assembled: Assembled, labels: Mapping[Cell, str]
+) -> tuple[tuple[Edit, ...], tuple[DrawnDeck, ...]]:
+    """The decks in the terrain, as corrections of its points and as they are drawn; none where they are to be kept."""
+    if job.plan.config.bridges != REMOVE:
+        return (), ()
+    g = Gridding(job.plan, assembled, labels)
+    cells = run_stage(job, CELLS, _cell_tasks(g))
+    made = run_stage(job, DECKS, _deck_tasks(g, cells))
+    records = _apart([record for _, (_, record) in sorted(made.items()) if not record["why"]])
+    job.facts["bridges"] = [_fact(record) for record in records]
+    if records:
+        text = "1 bridge is" if len(records) == 1 else f"{len(records)} bridges are"
+        job.note(f"{text} left out of the terrain (--bridges keep leaves bridges in)")
+    metres_z = float(job.plan.meta.frame.metres_z)
+    edits = tuple(_edit(-number, record, metres_z) for number, record in enumerate(records, start=1))
+    return edits, tuple(_drawn(record) for record in records)
+
+
+def _cell_tasks(g: Gridding) -> Iterator[Task]:
+    """One for each block of coarse cells with points."""
+    spec, rule, lattice = g.coarse, ground_rule(g.plan), g.plan.meta.bucket
+    reach = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.meta.frame.metres_xy))
+    for block, own in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
+        work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
+        near = lattice.among(spec.block_bounds(block).pad(reach), g.labels)
+        digest = digest_of(__version__, work, [[c.ix, c.iy, g.labels[c]] for c in near])
+        points = sum(g.assembled.records[cell]["n"] for cell in own)
+        yield Task(CELLS, block.name, digest, find_deck_cells, work, points)
+
+
+def _deck_tasks(g: Gridding, found: Commits) -> Iterator[Task]:
+    """One for each place where cells that may be decks touch one another."""
+    spec, rule, lattice = g.coarse, ground_rule(g.plan), g.plan.meta.bucket
+    metres = float(g.plan.meta.frame.metres_xy)
+    for cells in _places(spec, found):
+        bounds = examined(spec, cells, metres)
+        if len(cells) < FEWEST_CELLS or max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres > WIDEST_M:
+            continue
+        work = ExamineDeck(rule, spec, cells)
+        near = lattice.among(bounds, g.labels)
+        digest = digest_of(__version__, work, [[c.ix, c.iy, g.labels[c]] for c in near])
+        points = sum(g.assembled.records[cell]["n"] for cell in near)
+        row, col, _ = cells[0]
+        yield Task(DECKS, f"r{row:07d}c{col:07d}", digest, examine_deck, work, points)
+
+
+def _places(spec: RasterSpec, found: Commits) -> Iterator[tuple[tuple[int, int, int], ...]]:
+    """Cells that touch one another, in the order of rows and columns, whichever blocks they are of."""
+    cells = sorted({tuple(cell) for _, record in found.values() for cell in record["cells"]})
+    if not cells:
+        return
+    rows, cols, _ = np.array(cells).T
+    mask = np.zeros((spec.height, spec.width), np.bool_)
+    mask[rows, cols] = True
+    numbers = ndimage.label(mask, np.ones((3, 3), np.bool_))[0][rows, cols]
+    order = np.argsort(numbers, kind="stable")
+    for part in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
+        yield tuple((int(r), int(c), int(d)) for r, c, d in (cells[i] for i in part))
+
+
+def _apart(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Decks of which each lies mostly outside of longer ones: two places may be parts of the same bridge."""
+    kept: list[tuple[Any, dict[str, Any]]] = []
+    for record in sorted(records, key=lambda r: (-r["length_m"] * r["width_m"], r["ring"])):
+        shape = shapely.make_valid(shapely.Polygon(record["ring"]))
+        if all(shape.intersection(other).area < shape.area / 2 for other, _ in kept):
+            kept.append((shape, record))
+    return [record for _, record in kept]
+
+
+def _edit(number: int, record: Mapping[str, Any], metres_z: float) -> Edit:
+    low = min(record["clearance_m"] / 2, DROP_M)
+    surface = DeckSurface(*(float(v) for v in (*record["surface"], low / metres_z, ABOVE_M / metres_z)))
+    return Edit(number, DECK, Area(((np.array(record["ring"], np.int64),),)), deck=surface)
+
+
+def _drawn(record: Mapping[str, Any]) -> DrawnDeck:
+    places = tuple(int(v) for place in record["ring"] for v in place)
+    return places, record["length_m"], record["width_m"], record["clearance_m"], record["below"]
+
+
+def _fact(record: Mapping[str, Any]) -> dict[str, Any]:
+    """What run.json says of a bridge."""
+    ring = np.array([*record["ring"], record["ring"][0]]) / COUNTS_PER_UNIT
+    sizes = {name: record[name] for name in ("length_m", "width_m", "clearance_m", "below")}
+    return {**sizes, "rings": [ring.ravel().tolist()]}
