@@ -36,6 +36,7 @@ COMMANDS = {
     "clean": "Remove what a run left behind and no later one needs.",
     "simulate": "A cloud with true labels, and its true terrain.",
     "config": "The effective settings, or a commented file to start from.",
+    "warm": "Compile what methods need, before their first run.",
     "demo": "Simulate a small city, run the whole job on it, score it.",
 }
 """Commands in the order of the help, with its line for each: help must not import them all."""

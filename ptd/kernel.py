@@ -23,7 +23,7 @@ import numba
 import numpy as np
 from numba.core import config as numba_config
 
-__all__ = ["cache_folder", "inlined", "kernel", "wide"]
+__all__ = ["cache_folder", "compiled_count", "inlined", "kernel", "wide"]
 
 config: Any = numba_config  # its variables are made at run time
 # numba reads settings of a file in the current folder: one that came with the clouds must not change a result.
@@ -53,6 +53,12 @@ def cache_folder() -> Path | None:
         if _usable(folder):
             return folder
     return None
+
+
+def compiled_count() -> int:
+    """How many kernels are compiled in the folder of this version."""
+    folder = cache_folder()
+    return 0 if folder is None else sum(1 for _ in folder.rglob("*.nbc"))
 
 
 _ROOT = 0

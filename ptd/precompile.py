@@ -5,6 +5,8 @@ Where their machine code is kept: `ptd.kernel`. A file beside it says that a met
 
 from __future__ import annotations
 
+import functools
+import gc
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Literal
@@ -16,6 +18,9 @@ from ptd.frame import Scale, Window
 from ptd.kernel import cache_folder
 
 Float64 = npt.NDArray[np.float64]
+
+GARBAGE_OBJECTS = 100_000
+"""The compiler makes objects by the million: looking for garbage after each 700 of them is a tenth of its time."""
 
 
 def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
@@ -40,24 +45,55 @@ def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
     return xyz.T, rgb.T.astype(np.uint16)
 
 
-def warm_filters(method: str, tell: Callable[[], None]) -> None:
-    """Compile what a method uses, unless that was done; ``tell`` is called before it takes long."""
+def has_kinds(method: str) -> bool:
+    """Whether a method has passes that do not always apply: those for one kind of clouds have kernels of their own."""
+    from ptd.methods import METHODS
+    from ptd.passes import Pass
+
+    return any(type(step).applies is not Pass.applies for step in METHODS[method].params().passes)
+
+
+def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None) -> None:
+    """Compile what a method uses, unless that was done; ``tell`` is called before it takes long.
+
+    Parameters
+    ----------
+    method : str
+    tell : callable
+    kind : {"lidar", "dim"} or None
+        Of the cloud, where the method has passes for one kind; None: what both need.
+    """
     from ptd.api import do_passes
     from ptd.methods import METHODS
-    from ptd.passes import KINDS, Pass, RunFacts
+    from ptd.passes import KINDS, RunFacts
 
-    def work() -> None:
+    def work(which: str | None) -> None:
         xyz, rgb = _scene()
         counts = np.ascontiguousarray((1000 * xyz).T.astype(np.int32))
-        columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": np.ones((2, len(xyz)), np.uint8)}
+        # Several returns are a laser scan's: the kind is not said, so that what decides it is compiled as well.
+        returns = np.full((2, len(xyz)), 2 if which == KINDS[0] else 1, np.uint8)
+        columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": returns}
         tile = Window(0, 0, 60_000, 60_000)  # points beyond it are in doubt, which has kernels of its own
-        params = METHODS[method].params()
-        # Passes that do not always apply have kernels of their own.
-        branches = any(type(step).applies is not Pass.applies for step in params.passes)
-        for kind in KINDS if branches else (None,):
-            do_passes(params, counts, columns, Scale(), tile, RunFacts(rgb=True, kind=kind))
+        do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunFacts(rgb=True))
 
-    _once(method, tell, work)
+    for which in ((kind,) if kind else KINDS) if has_kinds(method) else (None,):
+        _once(filters_name(method, which), tell, functools.partial(work, which))
+
+
+def filters_name(method: str, kind: str | None) -> str:
+    """What says of a method's kernels that they are compiled; ``kind`` counts where the method has passes for it."""
+    return f"{method}-{kind}" if kind and has_kinds(method) else method
+
+
+def gridding_name(interpolation: str) -> str:
+    """What says of the kernels of gridding that they are compiled."""
+    return f"gridding-{interpolation}"
+
+
+def is_compiled(name: str) -> bool:
+    """Whether kernels of that name are compiled, or cannot be ahead, as there is no place for them."""
+    folder = cache_folder()
+    return folder is None or (folder / f"{name}.compiled").exists()
 
 
 def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[], None]) -> None:
@@ -75,7 +111,7 @@ def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[]
         highest_returns.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)
         wall_feet.beside_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
 
-    _once(f"gridding-{interpolation}", tell, work)
+    _once(gridding_name(interpolation), tell, work)
 
 
 def _once(name: str, tell: Callable[[], None], work: Callable[[], None]) -> None:
@@ -86,5 +122,10 @@ def _once(name: str, tell: Callable[[], None], work: Callable[[], None]) -> None
         tell()  # every process compiles for itself
     elif not done.exists():
         tell()
-        work()
+        often = gc.get_threshold()
+        gc.set_threshold(GARBAGE_OBJECTS)
+        try:
+            work()
+        finally:
+            gc.set_threshold(*often)
         done.touch()

@@ -147,6 +147,7 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
             job.save("interrupted")
         raise
     finally:
+        job.compiler.close()
         job.crew.close()
     if until != "export" and job.record.computed and job.facts["earlier_outputs"]:
         job.note(
@@ -197,6 +198,8 @@ def _stages(job: Job, until: str) -> None:
     if job.plan.area is not None:
         job.store.put_area(job.plan.area)
     sources = numbered(job)
+    if job.plan.config.scheduler is None and not job.store.committed("spool"):
+        job.compiler.begin(job.plan, until)  # while the points are read, which needs no kernel
     spooled, sources = spool(job, sources)
     assembled = assemble(job, sources, spooled)
     if until == "ingest":

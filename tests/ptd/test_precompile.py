@@ -7,13 +7,15 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import ptd
-from ptd import precompile
+from ptd import api, precompile
 from ptd.methods import METHODS
-from ptd.precompile import warm_filters, warm_gridding
+from ptd.passes import KINDS
+from ptd.precompile import filters_name, warm_filters, warm_gridding
 
 
 @pytest.fixture
@@ -29,8 +31,23 @@ def test_every_method_gets_through_the_scene(method: str, folder: Path) -> None:
     told: list[str] = []
     for _ in range(2):
         warm_filters(method, lambda: told.append(method))
-    assert told == [method]
-    assert [path.name for path in folder.iterdir()] == [f"{method}.compiled"]
+    names = {filters_name(method, kind) for kind in KINDS}
+    assert len(told) == len(names)
+    assert {path.name for path in folder.iterdir()} == {f"{name}.compiled" for name in names}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_scene_is_taken_for_what_is_wanted(
+    kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the passes of the other kind would be compiled."""
+    done: list[dict[str, Any]] = []
+    real = api.do_passes
+    monkeypatch.setattr(api, "do_passes", lambda *given: done.append(real(*given)[1]))
+    for method in METHODS:
+        if precompile.has_kinds(method):
+            warm_filters(method, lambda: None, kind)
+    assert {state["survey"]["kind"] for state in done} == {kind}
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "natural"])

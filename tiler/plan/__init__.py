@@ -8,7 +8,7 @@
 from tiler.plan.disk import too_much_between
 from tiler.plan.make import make_plan, output_names
 from tiler.plan.memory import PlannedPass
-from tiler.plan.model import KEEP, PIECE_POINTS, Plan
+from tiler.plan.model import KEEP, LEAST_MATCHED_M2, PIECE_POINTS, Plan
 from tiler.plan.rates import remember, stage_seconds
 from tiler.plan.refuse import refuse
 from tiler.plan.sizes import bounds_of
@@ -16,6 +16,7 @@ from tiler.plan.words import crs_name, plan_json, plan_lines
 
 __all__ = [
     "KEEP",
+    "LEAST_MATCHED_M2",
     "PIECE_POINTS",
     "Plan",
     "PlannedPass",

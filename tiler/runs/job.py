@@ -13,6 +13,7 @@ from tiler.io.result_folder import RUN
 from tiler.observe.events import Listener
 from tiler.plan import Plan
 from tiler.report import write_run_file
+from tiler.runs.compiling import Compiler
 from tiler.runs.executors import Crew
 from tiler.runs.record import Facts, RunRecord
 from tiler.schedule import Task
@@ -67,8 +68,12 @@ class Job:
     ownership: Ownership
     record: RunRecord = field(default_factory=RunRecord)
     crew: Crew = field(init=False)
+    compiler: Compiler = field(init=False)
 
     def __post_init__(self) -> None:
+        self.compiler = Compiler(
+            lambda event, facts: self.listener(event, facts), not self.plan.config.in_process
+        )
         self.crew = Crew(self.plan, self.store.url, self.products, self.note)
 
     @property

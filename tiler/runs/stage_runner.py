@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import DamagedError, DiskFullError, ProcessingError
 from tiler.runs import record
+from tiler.runs.compiling import Kernels
 from tiler.runs.job import Job
 from tiler.runs.worker import perform
 from tiler.schedule import Outcome, Placed, Task
@@ -17,11 +18,9 @@ from tiler.store import Commits, store_exists
 PACKED_COMMITS = 256
 """From so many commits on, a stage packs them into one object when it ends: each costs a request to read."""
 
-Warm = Callable[[Callable[[], None]], None]
-
 
 def run_stage(
-    job: Job, stage: str, tasks: Iterable[Task], warm: Warm | None = None, writes_out: bool = False
+    job: Job, stage: str, tasks: Iterable[Task], kernels: Kernels | None = None, writes_out: bool = False
 ) -> Commits:
     """Do what is not done yet of a stage; commits of all its tasks that succeeded.
 
@@ -30,8 +29,8 @@ def run_stage(
     job : Job
     stage : str
     tasks : iterable of Task
-    warm : callable, optional
-        Compiles the kernels of the stage, here and once, before local workers would each do so.
+    kernels : Kernels, optional
+        Those that the stage uses: compiled once, before local workers would each do so.
     writes_out : bool
         The tasks write files into OUT.
 
@@ -55,8 +54,8 @@ def run_stage(
     }
     if stage.startswith(record.PLACED) and len(wanted) <= record.LISTED_TILES:
         job.record.list_tiles(stage, ((task, _place(job, task)) for task in wanted.values()), done)
-    if todo and warm is not None and job.plan.config.scheduler is None:
-        warm(lambda: job.listener("note", {"text": "compiling kernels (once on this machine)"}))
+    if todo and kernels is not None and job.plan.config.scheduler is None:
+        job.compiler.finish(kernels)
     job.listener("stage_started", info)  # once its kernels are there: its time is that of the work
     start, peak_rss, damaged = time.monotonic(), 0, set[str]()
     for outcome in job.crew.executor(writes_out).run(perform, job.store.url, todo) if todo else ():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -11,11 +10,11 @@ import numpy as np
 
 from ptd.methods import METHODS
 from ptd.passes import MethodRefusal, Pass, RunFacts, State, later_passes
-from ptd.precompile import warm_filters
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile
 from tiler.plan import KEEP
+from tiler.runs.compiling import filter_kernels, likely_kind
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
@@ -36,7 +35,6 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
     facts = RunFacts(job.plan.meta.has_rgb, sigma, config.source_kind)
     state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
     before = Before(assembled.digests)
-    warm = functools.partial(warm_filters, config.method)
     job.facts["statistics"] = {}
     writes, last = False, ""
     for number, step in enumerate(passes):
@@ -52,7 +50,8 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
             passed_over = [f"filter{n}" for n, other in enumerate(passes) if not other.applies(state)]
             job.listener("stages_passed_over", {"stages": passed_over})
         tasks = list(filter_tasks(job.plan, assembled, number, state, before))
-        filtered = run_stage(job, f"filter{number}", tasks, warm)
+        kind = state["survey"]["kind"] if "survey" in state else likely_kind(job.plan)
+        filtered = run_stage(job, f"filter{number}", tasks, filter_kernels(config.method, kind))
         if not filtered:
             raise ProcessingError(f"no tile could be filtered; the first: {job.record.failed[0]['error']}")
         if step.elects or step.gives_labels:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from ptd.precompile import warm_gridding
 from tiler.config import NO_WATER
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
@@ -20,6 +18,7 @@ from tiler.errors import ProcessingError
 from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
 from tiler.plan import KEEP
 from tiler.plan.advice import roofs_in_terrain
+from tiler.runs.compiling import grid_kernels
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.runs.worker import compute
@@ -103,8 +102,7 @@ def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task]) -> Comm
         job.take_back(stage, lost)
         _blank(job, name, spec, stored - done.keys())
     job.store.put_state(f"raster-{name}", spec.to_json())
-    how: Literal["linear", "natural"] = "natural" if job.plan.config.interpolation == "natural" else "linear"
-    made = run_stage(job, stage, tasks, functools.partial(warm_gridding, how))
+    made = run_stage(job, stage, tasks, grid_kernels(job.plan.config.interpolation))
     if tasks and not made:
         raise ProcessingError(f"no block of {name} could be made; the first: {job.record.failed[0]['error']}")
     return made

@@ -1,0 +1,28 @@
+"""``tiler warm``."""
+
+from __future__ import annotations
+
+import click
+
+from cli.options import json_option
+from cli.output import print_json, say
+from cli.session import TilerCommand
+
+
+@click.command("warm", cls=TilerCommand)
+@click.argument("methods", metavar="[METHOD]...", nargs=-1)
+@json_option
+def command(methods: tuple[str, ...], as_json: bool) -> None:
+    """Compile what methods need, before their first run.
+
+    Every METHOD named, or `auto`, and the rasters, on all cores. Without this the first run on a machine compiles
+    what it needs, while it reads the points. The machine code is kept in NUMBA_CACHE_DIR, if that is set, or in the
+    user's cache folder.
+    """
+    from tiler.apps.warm import warm
+
+    found = warm(methods or ("auto",))
+    if as_json:
+        print_json(found)
+        return
+    say(f"compiled  {found['compiled']} kernels, {found['kernels']} are in {found['folder']}")

@@ -1,0 +1,65 @@
+"""What is compiled before and while a run goes on."""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.tiler.conftest import MakeCloud
+from tiler.config import RunConfig
+from tiler.plan import make_plan
+from tiler.runs import compiling
+from tiler.runs.compiling import Compiler, Kernels, likely_kind
+
+
+def make_file(path: Path, tell: Callable[[], None]) -> None:
+    """Stands for compiling."""
+    path.touch()
+
+
+def crash(tell: Callable[[], None]) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """Events; that kernels are compiled is said by files in a folder of the test."""
+    monkeypatch.setattr(compiling, "is_compiled", lambda name: Path(name).exists())
+    return []
+
+
+def compiler(told: list[tuple[str, dict[str, Any]]]) -> Compiler:
+    return Compiler(lambda event, fields: told.append((event, fields)), apart=True)
+
+
+def test_a_run_waits_for_its_kernels(told: list[tuple[str, dict[str, Any]]], tmp_path: Path) -> None:
+    """They are compiled in a process of its own, once."""
+    done = tmp_path / "done"
+    kernels, at_work = Kernels(str(done), functools.partial(make_file, done), 1), compiler(told)
+    for _ in range(2):
+        at_work.finish(kernels)
+    at_work.close()
+    assert done.exists()
+    assert [event for event, _ in told] == ["stage_started", "stage_finished"]
+
+
+def test_a_compiler_that_crashes_is_told_of(told: list[tuple[str, dict[str, Any]]], tmp_path: Path) -> None:
+    at_work = compiler(told)
+    at_work.finish(Kernels(str(tmp_path / "never"), crash, 1))
+    at_work.close()
+    assert told[-1][0] == "warning"
+    assert "each process compiles for itself" in told[-1][1]["text"]
+
+
+def test_what_a_cloud_probably_is(make_cloud: MakeCloud) -> None:
+    """Single returns alone may be matched; who knows better, says so."""
+    path = str(make_cloud())
+    assert likely_kind(make_plan([path], RunConfig(kind="als", in_process=True))) == "lidar"
+    assert likely_kind(make_plan([path], RunConfig(kind="dim", in_process=True))) == "dim"
+    assert likely_kind(make_plan([path], RunConfig(in_process=True))) in ("lidar", "dim")

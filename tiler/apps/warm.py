@@ -1,0 +1,59 @@
+"""Compiles all kernels of methods ahead of their first run: for images, CI, and machines without spare minutes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ptd.kernel import cache_folder, compiled_count
+from ptd.methods import METHODS
+from ptd.precompile import is_compiled
+from tiler.errors import ConfigError, ProcessingError
+from tiler.plan.machine import cores
+from tiler.runs.compiling import SECONDS, Kernels, filter_kernels, grid_kernels, kinds_of, silent
+from tiler.schedule import Died, Guard, Guards
+
+
+def warm(methods: Sequence[str]) -> dict[str, Any]:
+    """Compile what methods and rasters use, in as many processes as there are cores.
+
+    Parameters
+    ----------
+    methods : sequence of str
+
+    Returns
+    -------
+    dict
+        ``folder`` of the machine code, ``kernels`` in it, ``compiled`` by this call.
+
+    Raises
+    ------
+    ConfigError
+        A method that there is not, or no folder that can be written.
+    ProcessingError
+        The compiler crashed.
+    """
+    unknown = [name for name in methods if name not in METHODS]
+    if unknown:
+        raise ConfigError(f"no method {unknown[0]!r}; there are {', '.join(METHODS)}")
+    folder = cache_folder()
+    if folder is None:
+        raise ConfigError("no folder for compiled kernels can be written; set NUMBA_CACHE_DIR to one")
+    before = compiled_count()
+    wanted = [filter_kernels(method, kind) for method in methods for kind in kinds_of(method)]
+    wanted += [grid_kernels(interpolation) for interpolation in ("linear", "natural")]
+    todo = [kernels for kernels in wanted if not is_compiled(kernels.name)]
+    try:
+        with Guards(max(min(cores(), len(todo)), 1), None) as guards:
+            for done in guards.each(_compile, todo):
+                done()
+    except Died as died:
+        raise ProcessingError(
+            f"compiling kernels: the process {died}; free some memory and try again"
+        ) from died
+    count = compiled_count()
+    return {"folder": str(folder), "kernels": count, "compiled": count - before}
+
+
+def _compile(guard: Guard, kernels: Kernels) -> None:
+    guard.call(kernels.compile, silent, seconds=SECONDS)
