@@ -144,12 +144,14 @@ def missing_peers() -> dict[str, str]:
     """Filters that do not take part, and why."""
     found = {}
     if not _has_lasr():
-        found["lasR PTD"] = "not installed: a package of R, in neither PyPI nor Debian 12"
+        found["lasR PTD"] = (
+            "not installed: a package of R that Debian 12 does not have; its binding for Python, pylasr, has no wheel"
+        )
     if not _installed("CSF"):
         found["CSF"] = "not installed: pip install cloth-simulation-filter"
     if not _installed("pdal"):
         found["PDAL SMRF, PMF"] = (
-            "not installed: its Python package needs PDAL itself, which Debian 12 does not have"
+            "not installed: its Python package has no wheel and needs PDAL itself, which Debian 12 does not have"
         )
     return found
 
