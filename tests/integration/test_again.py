@@ -30,7 +30,7 @@ GRID = ("grid-dtm", "grid-occupancy", "grid-survey", "grid-dtm-outlined")
 def out(finished_run: Finished, demo: DemoScene, tmp_path: Path) -> Path:
     """A copy of a finished OUT, to go on with: files that are copied are written once more."""
     shutil.copytree(finished_run[0], tmp_path / "out")
-    assert again(demo, tmp_path / "out") == {"export": 6}
+    assert again(demo, tmp_path / "out") == {"export": 6, "catalogue": 2}
     return tmp_path / "out"
 
 
@@ -77,12 +77,13 @@ def test_another_resolution_only_grids(out: Path, demo: DemoScene) -> None:
         "grid-survey": 1,
         "grid-dtm-outlined": 1,
         "export": 1,
+        "catalogue": 1,
     }
 
 
 def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScene) -> None:
     found = again(demo, out, parameters={"iteration_distance": "1.3"})
-    assert found.keys() == {"filter0", *GRID[:2], "grid-dtm-outlined", "export"}
+    assert found.keys() == {"filter0", *GRID[:2], "grid-dtm-outlined", "export", "catalogue"}
 
 
 def test_other_classes_to_keep_leave_the_decoding(out: Path, demo: DemoScene) -> None:
@@ -99,7 +100,14 @@ def test_a_lost_output_is_written_again(out: Path, demo: DemoScene) -> None:
 
 
 def test_overwrite_starts_anew(out: Path, demo: DemoScene) -> None:
-    assert again(demo, out, overwrite=True).keys() == {"spool", "assemble", "filter0", *GRID, "export"}
+    assert again(demo, out, overwrite=True).keys() == {
+        "spool",
+        "assemble",
+        "filter0",
+        *GRID,
+        "export",
+        "catalogue",
+    }
 
 
 def test_clean_store_leaves_the_results_alone(out: Path, demo: DemoScene) -> None:
@@ -179,7 +187,7 @@ def test_keep_grids_the_classes_of_the_input(demo: DemoScene, tmp_path: Path) ->
     result = do(list(demo.truth_paths), tmp_path / "out", method="keep")
     assert result.exit_code == 0
     assert not any(stage.startswith("filter") for stage in result.summary["stages"])
-    assert set(result.summary["outputs"]) == {"dtm.tif", "outline.gpkg"}
+    assert set(result.summary["outputs"]) == {"dtm.tif", "outline.gpkg", "stac.json"}
     pixels, _ = dtm(tmp_path / "out")
     assert (pixels != -9999).mean() > 0.9
 

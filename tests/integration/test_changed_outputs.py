@@ -79,7 +79,7 @@ def test_a_product_that_this_run_does_not_make_is_put_aside(cloud: Path, out: Pa
     spoilt = flip(out / "slope.tif", unseen=True)
     assert "slope.tif" in do(cloud, out).summary["outputs"]
     result = do(cloud, out, verify=True)
-    assert set(result.summary["outputs"]) == {*FILES, "outline.gpkg"}
+    assert set(result.summary["outputs"]) == {*FILES, "outline.gpkg", "classified.vpc", "stac.json"}
     assert (out / "outdated" / "slope.tif").read_bytes() == spoilt
     assert any(
         "slope.tif: changed since a run wrote it; moved to outdated/" in n for n in result.summary["notes"]

@@ -113,7 +113,10 @@ def test_everything_by_url(
     assert (tmp_path / "town/report.html").read_text().count("data:image/png;base64,") == 2
     bucket.rm_file(f"{BUCKET}/town/dtm.tif")
     again = json.loads(tiler("run", *arguments, *OPTIONS, "--json").stdout)["stages"]
-    assert {name: stage["computed"] for name, stage in again.items() if stage["computed"]} == {"export": 1}
+    assert {name: stage["computed"] for name, stage in again.items() if stage["computed"]} == {
+        "export": 1,
+        "catalogue": 1,
+    }
     ended(start(*arguments, "--sheets", "100"))
     sheets = json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["outputs"]
     assert sum(name.startswith("dtm/dtm_") for name in sheets) == 4  # CRS 0 is a corner
@@ -130,6 +133,8 @@ def test_everything_by_url(
         "dtm.tif",
         "classified/city.laz",
         "outline.gpkg",
+        "classified.vpc",
+        "stac.json",
     }
 
 

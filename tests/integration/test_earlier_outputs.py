@@ -11,6 +11,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import do
 
 BOTH = "dtm,slope"
+CATALOGUE = ("classified.vpc", "stac.json")
 
 
 @pytest.fixture
@@ -33,6 +34,7 @@ def test_a_product_of_the_same_settings_stays(cloud: Path, tmp_path: Path) -> No
             "slope.tif",
             "outline.gpkg",
             "classified/hill.laz",
+            *CATALOGUE,
         }
         assert (out / "slope.tif").read_bytes() == before
     do(cloud, out, products="hillshade")
@@ -46,7 +48,7 @@ def test_a_product_of_other_settings_is_put_aside_and_told(cloud: Path, tmp_path
     result = do(cloud, out, parameters={"iteration_distance": "1.2"}, resolution="2")
     assert rasters(out) == {"dtm.tif", "outdated/slope.tif"}
     assert (out / "outdated" / "slope.tif").read_bytes() == before
-    assert set(result.summary["outputs"]) == {"dtm.tif", "outline.gpkg", "classified/hill.laz"}
+    assert set(result.summary["outputs"]) == {"dtm.tif", "outline.gpkg", "classified/hill.laz", *CATALOGUE}
     (note,) = [text for text in result.summary["notes"] if "moved" in text]
     assert note.startswith("slope.tif: of an earlier run with other settings or inputs")
     assert result.summary["earlier_outputs"] == {}

@@ -27,12 +27,20 @@ def test_it_succeeds_and_leaves_what_it_says(default_run: Finished, demo: DemoSc
     out, result = default_run
     assert result.exit_code == 0
     assert not result.did_nothing
-    names = {"dtm.tif", "outline.gpkg", *(f"classified/{path.name}" for path in demo.paths)}
+    names = {
+        "dtm.tif",
+        "outline.gpkg",
+        "classified.vpc",
+        "stac.json",
+        *(f"classified/{path.name}" for path in demo.paths),
+    }
     assert result.summary["outputs"] == {name: (out / name).stat().st_size for name in names}
     assert {p.name for p in out.iterdir()} == {
         "dtm.tif",
         "outline.gpkg",
         "classified",
+        "classified.vpc",
+        "stac.json",
         "store.zarr",
         "run.json",
         "events.jsonl",
@@ -92,7 +100,7 @@ def test_run_json_tells_what_was_done(default_run: Finished, demo: DemoScene) ->
     assert sum(i["points"] for i in content["inputs"]) == demo.points == content["counts"]["stored"]
     assert all(len(i["content"]) == 32 for i in content["inputs"])
     passes = [f"filter{i}" for i in range(PASSES)]
-    assert sorted(content["stages"]) == sorted(["assemble", "export", *passes, *GRID, "spool"])
+    assert sorted(content["stages"]) == sorted(["assemble", "catalogue", "export", *passes, *GRID, "spool"])
     for stage in content["stages"].values():
         assert stage["computed"] == stage["tasks"] > 0
         assert stage["done"] == 0
@@ -154,7 +162,7 @@ def test_the_stages_one_by_one_are_the_whole_job(
         ("ingest", {"spool", "assemble"}),
         ("filter", passes),
         ("grid", set(GRID)),
-        ("export", {"export"}),
+        ("export", {"export", "catalogue"}),
     ):
         result = do(list(demo.paths), tmp_path / "out", until=until, tile_size="128", method="auto")
         assert {stage for stage, n in computed(result).items() if n} == stages

@@ -188,6 +188,7 @@ def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_
         "grid-dtm-outlined": 1,
         "grid-occupancy": 1,
         "export": 2,
+        "catalogue": 2,
     }  # one of four blocks; the raster and one of four clouds
     changed = {name for name, digest in digests(tmp_path / "out").items() if digest != before[name]}
     assert changed == {"dtm.tif", "ne.laz"}

@@ -71,7 +71,7 @@ def test_what_is_done_is_not_done_again(quarter_files: list[Path], tmp_path: Pat
     out = tmp_path / "out"
     do(quarter_files, out, resolution=RESOLUTION)
     more = do(quarter_files, out, products="dtm,slope", resolution=RESOLUTION)
-    assert {k: n for k, n in computed(more).items() if n} == {"grid-slope": 4, "export": 1}
+    assert {k: n for k, n in computed(more).items() if n} == {"grid-slope": 4, "export": 1, "catalogue": 1}
     again = do(quarter_files, out, products="slope,dtm", resolution=RESOLUTION)
     assert again.did_nothing
     other = do(quarter_files, out, products="dtm,slope", resolution=RESOLUTION, max_edge="3")
@@ -168,7 +168,7 @@ def test_the_nodata_value_is_that_of_files_and_sheets(quarter_files: list[Path],
     do(quarter_files, whole, **options)
     usual = values(whole, "dtm")
     again = do(quarter_files, whole, nodata=-999999, **options)
-    assert {k for k, n in computed(again).items() if n} == {"export"}
+    assert {k for k, n in computed(again).items() if n} == {"export", "catalogue"}
     assert computed(again)["export"] == 1  # the hillshade is of greys
     do(quarter_files, cut, nodata=-999999, sheets="90", **options)
     with rasterio.open(whole / "dtm.tif") as raster, rasterio.open(cut / "dtm.vrt") as mosaic:

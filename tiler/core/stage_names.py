@@ -18,6 +18,7 @@ _TITLES = {
     "verify": "look whether results changed",
     "export": "write the files",
     "mosaic": "write the mosaics",
+    "catalogue": "write the catalogue",
 }
 _RASTERS = {
     "dtm": "terrain",

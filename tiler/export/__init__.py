@@ -8,6 +8,7 @@ from tiler.export.legend import write_legend
 from tiler.export.mosaic import write_mosaic
 from tiler.export.outline import write_outline
 from tiler.export.sheet_index import write_sheet_index
+from tiler.export.text import write_text
 from tiler.export.water import write_water
 from tiler.export.work import (
     WriteBridges,
@@ -19,6 +20,7 @@ from tiler.export.work import (
     WriteOutline,
     WriteSheetIndex,
     WriteSpots,
+    WriteText,
     WriteWater,
 )
 
@@ -32,6 +34,7 @@ __all__ = [
     "WriteOutline",
     "WriteSheetIndex",
     "WriteSpots",
+    "WriteText",
     "WriteWater",
     "write_bridges",
     "write_classified",
@@ -42,5 +45,6 @@ __all__ = [
     "write_outline",
     "write_sheet_index",
     "write_spots",
+    "write_text",
     "write_water",
 ]

@@ -21,6 +21,7 @@ from tiler.core.edits import OF_POINTS
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
+from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.work import WriteClassified
 from tiler.io.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
 from tiler.io.las.headers import LasHeader
@@ -54,6 +55,7 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
     -------
     dict
         ``points``, ``changed`` (points of another class), ``classes`` (class to points, afterwards),
+        ``statistics`` (see `CloudStatistics.to_json`),
         ``bytes``, ``digest`` (of all bytes), ``state`` (see `tiler.io.locations.State`), ``notes`` (list of str).
 
     Raises
@@ -98,6 +100,7 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
         "points": header.point_count,
         "changed": record["changed"],
         "classes": record["classes"],
+        "statistics": record["statistics"],
         "bytes": out.stat().st_size,
         "digest": digest,
         "notes": notes,
@@ -162,6 +165,7 @@ def _write_points(
     classes = np.zeros(256, dtype=np.int64)
     changed = refused = 0
     channels: set[int] = set()
+    statistics = CloudStatistics(header)
     highest = LEGACY_CLASS_MASK if is_legacy(header.point_format) else 255
     step = rows_at_once(header.record_length, _STEP)
     writer = PointWriter(target, header)
@@ -185,10 +189,11 @@ def _write_points(
                 write_classes(records, header.point_format, new, chosen)
                 changed += int(np.count_nonzero(chosen))
                 classes += np.bincount(np.where(chosen, new, before), minlength=256)
+                statistics.add(records)
                 writer.write(records)
     writer.close()
     histogram = {str(c): int(n) for c, n in enumerate(classes.tolist()) if n}
-    return {"changed": changed, "refused": refused, "classes": histogram}
+    return {"changed": changed, "refused": refused, "classes": histogram, "statistics": statistics.to_json()}
 
 
 def _channels(header: LasHeader, records: Records) -> set[int]:

@@ -197,6 +197,24 @@ class WriteSpots(DrawnFile):
 
 
 @dataclass(frozen=True, kw_only=True)
+class WriteText:
+    """A small file of text.
+
+    Attributes
+    ----------
+    name : str
+        Of the file.
+    out : str
+        Folder that exists, or a URL.
+    text : str
+    """
+
+    name: str
+    out: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class WriteClassified:
     """A source again, with its new classes.
 

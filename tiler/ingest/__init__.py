@@ -22,6 +22,7 @@ from tiler.ingest.sources import (
 )
 from tiler.ingest.spool import OUTSIDE_AREA, SpoolPiece, spool_piece
 from tiler.ingest.strays import Strays, find_strays
+from tiler.ingest.virtual_cloud import is_virtual
 
 __all__ = [
     "FAR",
@@ -42,6 +43,7 @@ __all__ = [
     "find_strays",
     "inspect",
     "inspect_guarded",
+    "is_virtual",
     "pieces",
     "read_guarded",
     "spool_piece",

@@ -1,13 +1,14 @@
-"""Finds the input clouds in files, folders and globs, without files that runs of tiler wrote."""
+"""Finds the input clouds in files, folders, globs and virtual point clouds, without files that runs of tiler wrote."""
 
 from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from tiler.errors import ConfigError, InputError
+from tiler.ingest.virtual_cloud import is_virtual, members
 from tiler.io.locations import SCRATCH_PREFIX, cloud_path, is_url, list_clouds
 from tiler.io.result_folder import ASIDE, CLASSIFIED, is_results
 
@@ -25,7 +26,7 @@ def find_inputs(
     note: Tell = lambda text: None,
     results: bool = False,
 ) -> list[Path]:
-    """The LAS and LAZ files of files, folders (recursively) and globs, sorted, each once.
+    """The LAS and LAZ files of files, folders (recursively), globs and virtual point clouds, sorted, each once.
 
     What a run of tiler wrote is found by neither folders nor globs, wherever it lies below them, but only where its own
     folder, or a file in it, is named.
@@ -48,7 +49,7 @@ def find_inputs(
         No LAS or LAZ among them.
     """
     if not paths:
-        raise ConfigError("no input; name LAS or LAZ files, folders or globs")
+        raise ConfigError("no input; name LAS or LAZ files, folders, globs or .vpc files")
     found: dict[Path, Path] = {}
     told: list[str] = []
 
@@ -56,16 +57,12 @@ def find_inputs(
         told.append(text)
         note(text)
 
-    for text in map(str, paths):
+    for text in _without_virtual(map(str, paths), found):
         root, candidates = _expanded(text, tell)
         wanted = results and not is_url(text) and not any(path.parent == root for path in candidates)
         for path in _Made(root, root / CLASSIFIED if wanted else None, out, tell).without(candidates):
-            # Not `Path.resolve`, which fails for a link that leads in a circle: that is told of when it is read.
-            real = path if is_url(path) else Path(os.path.realpath(path))
-            if real in found:
-                tell(f"{path}: named twice (as {found[real]}), read once")
-            else:
-                found[real] = path
+            if (known := found.setdefault(_real(path), path)) is not path:
+                tell(f"{path}: named twice (as {known}), read once")
     if not found:
         raise InputError(
             f"{', '.join(map(str, paths))}: no .las or .laz file there"
@@ -75,25 +72,47 @@ def find_inputs(
     return sorted(found.values(), key=lambda path: (is_url(path), str(path) if is_url(path) else path))
 
 
+def _without_virtual(texts: Iterable[str], found: dict[Path, Path]) -> Iterator[str]:
+    """The inputs that are no virtual point clouds; the clouds that those name are found."""
+    for text in texts:
+        globbed = not is_url(text) and glob.has_magic(text) and not os.path.lexists(text)
+        for place in sorted(glob.glob(text, recursive=True)) if globbed and is_virtual(text) else [text]:
+            if not is_virtual(place) or Path(place).is_dir() or not (is_url(place) or os.path.lexists(place)):
+                yield place
+            else:
+                for path in members(place, SUFFIXES):
+                    found.setdefault(_real(path), path)
+
+
+def _real(path: Path) -> Path:
+    """The place of a file, whatever links lead to it."""
+    # Not `Path.resolve`, which fails for a link that leads in a circle: that is told of when it is read.
+    return path if is_url(path) else Path(os.path.realpath(path))
+
+
 def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
     """Where an input is looked for, and the clouds there."""
     if is_url(text):
         fixed = text[: _before_magic(text)].rpartition("/")[0] if glob.has_magic(text) else text
         return cloud_path(fixed if is_url(fixed) else text), list_clouds(text, SUFFIXES)
     if not text:
-        raise ConfigError("an input has no name at all; name LAS or LAZ files, folders or globs")
+        raise ConfigError("an input has no name at all; name LAS or LAZ files, folders, globs or .vpc files")
     path = Path(text)
     try:
         is_folder, is_there = path.is_dir(), path.exists() or path.is_symlink()
     except OSError as error:
-        raise ConfigError(f"{text}: {error.strerror}; name LAS or LAZ files, folders or globs") from error
+        raise ConfigError(
+            f"{text}: {error.strerror}; name LAS or LAZ files, folders, globs or .vpc files"
+        ) from error
     if is_folder:
         return path, list(_walk(path, note))
     if is_there:
         return path, [path]
     matches = sorted(glob.glob(text, recursive=True))
     if not matches:
-        raise ConfigError(f"{text}: no such file or folder; name LAS or LAZ files, folders or globs")
+        raise ConfigError(
+            f"{text}: no such file or folder; name LAS or LAZ files, folders, globs or .vpc files"
+        )
     found: list[Path] = []
     for match in map(Path, matches):
         if match.is_dir():

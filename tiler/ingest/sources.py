@@ -61,6 +61,8 @@ class SourceInfo:
         How the points are spread, estimated from a few.
     chunks : int, or tuple of int
         Points of each chunk of a LAZ file, one number where all but the last have the same; 0 where there is none.
+    created : tuple of int
+        Year and day of the year on which the file was made, as its header says; 0 where it does not.
     """
 
     path: Path
@@ -82,6 +84,7 @@ class SourceInfo:
     notes: tuple[str, ...]
     patches: tuple[Patch, ...] = ()
     chunks: int | tuple[int, ...] = 0
+    created: tuple[int, int] = (0, 0)
 
     @property
     def size(self) -> int:
@@ -143,6 +146,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         notes=(*notes, *(place.notes if place.kind != "missing" else ())),
         patches=extent.patches,
         chunks=_chunks(header.laz),
+        created=header.created,
     )
 
 

@@ -31,6 +31,10 @@ LEGEND = ".aux.xml"
 
 CLASSIFIED = "classified"
 """Folder of the classified clouds."""
+VIRTUAL = "classified.vpc"
+"""These clouds as one, for QGIS."""
+STAC, SHEET_ITEMS = "stac.json", "stac"
+"""What OUT holds, for catalogues, and the folder of what sheets hold."""
 CHECK, EVALUATION = "check.json", "evaluate.json"
 """What `tiler check` and `tiler evaluate` found, for the report."""
 ASIDE = "outdated"
@@ -123,7 +127,9 @@ def foreign_files(
         names.append(f"{product}/{start or product}.")  # no file, but its folder may be one
         sheets = (f"{product}/{name}" for name in names_in(joined(products, product)))
         names += [
-            s for s in sheets if s.startswith(f"{product}/{start}") and s.endswith(".tif") and s not in ours
+            s
+            for s in sheets
+            if s.startswith(f"{product}/{start}") and s.endswith((".tif", ".json")) and s not in ours
         ]
     found = _there(products, names)
     for place in dict.fromkeys((str(out), products)):

@@ -18,7 +18,7 @@ from tiler.core.area import Area
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded
+from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded, is_virtual
 from tiler.io.locations import cloud_path, is_url
 from tiler.plan import advice, machine, sizes
 from tiler.plan.area import area_of, part_of
@@ -159,7 +159,8 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
 def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[Path, Path]:
     """Path of each classified file below OUT/classified; ConfigError where two would be one."""
     # A URL names what is below it, or one object: then nothing is left of the name below it.
-    folders = [cloud_path(i) for i in inputs if is_url(i) or Path(i).is_dir()]
+    named = [(cloud_path(i), is_virtual(i) and not Path(i).is_dir()) for i in inputs]
+    folders = [p.parent if virtual else p for p, virtual in named if virtual or is_url(p) or p.is_dir()]
     names: dict[Path, Path] = {}
     taken: dict[str, Path] = {}
     for source in sources:

@@ -26,8 +26,11 @@ from tiler.io.result_folder import (
     OUTLINE,
     REPORT,
     RUN,
+    SHEET_ITEMS,
     SHEETS,
+    STAC,
     STORE,
+    VIRTUAL,
     WATER,
     folder_here,
     foreign_files,
@@ -117,7 +120,9 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
         wanted.append(OUTLINE)
     if plan.config.water != "none":
         wanted.append(WATER)
+    wanted.append(STAC)
     if plan.config.method != KEEP:
+        wanted.append(VIRTUAL)
         wanted += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
     places = [joined(products, name) for name in wanted]
     places += [joined(place, name) for place in (str(out), products) for name in (RUN, EVENTS, REPORT)]
@@ -125,7 +130,9 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     check_targets([Target("-o", place) for place in places], reads)
     if plan.config.force:
         return
-    starts = {name: beginning(plan.config.sheet_name, name) for name in exported} if sheets else {}
+    starts = (
+        {name: beginning(plan.config.sheet_name, name) for name in (*exported, SHEET_ITEMS)} if sheets else {}
+    )
     found = foreign_files(out, products, wanted, starts)
     if found:
         more = f" and {len(found) - NAMED:,} more" if len(found) > NAMED else ""

@@ -14,6 +14,7 @@ from tiler.plan import KEEP
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
+from tiler.stages.catalogue import STAGE, catalogue_tasks, planned
 from tiler.stages.changed_outputs import take_back_spoilt
 from tiler.stages.corrections import Corrections
 from tiler.stages.drawn_tasks import drawn_tasks
@@ -23,7 +24,7 @@ from tiler.stages.outdated import put_aside
 from tiler.stages.tasks import Source, area_key, classified_tasks
 from tiler.store import Commits
 
-PRODUCTS = (".tif", ".vrt", ".gpkg", LEGEND)
+PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)
 """Files of products among what is written; their tasks have the names of the files as keys."""
 
 
@@ -40,27 +41,26 @@ def export(
     digest = digest_of(sorted(source.content for source in sources))
     tasks = [*cog_tasks(gridding, Inputs.of(sources, spooled), digest, out), *legend_tasks(gridding, out)]
     tasks += drawn_tasks(gridding, out)
-    folders = {task.arguments.out for task in tasks if not is_url(out)}
+    rasters = list(tasks)
     if config.method != KEEP:
         tasks += corrections.of_clouds(classified_tasks(job.plan, sources, spooled, labels, out))
     mosaics = list(mosaic_tasks(gridding, digest, out))
     basis = _basis(gridding)
     written = {key: below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
     written |= {SHEETS: SHEETS} if mosaics else {}
+    written |= planned(gridding)
     put_aside(job, written.values(), basis)
-    # Only now: the folder of sheets that were put aside is gone.
-    for folder in folders:
-        try:
-            Path(folder).mkdir(exist_ok=True)
-        except OSError as error:
-            raise refused_write(folder, error, Path(out)) from error
-    products = _write(job, "export", tasks, out)
+    _make_folders(rasters, out)  # only now: the folder of sheets that were put aside is gone
+    made = _write(job, "export", tasks, out)
     _tell_of_contours(job)
     if mosaics or job.store.committed("mosaic"):
-        mosaics += index_tasks(tasks, job.store.committed("export"), out)
-        products &= _write(job, "mosaic", mosaics, out)
+        mosaics += index_tasks(tasks, made, out)
+        made |= _write(job, "mosaic", mosaics, out)
+    catalogue = list(catalogue_tasks(gridding, sources, _kind(job), made, out))
+    _make_folders(catalogue, out)
+    made |= _write(job, STAGE, catalogue, out)
+    files = [task.key for task in (*tasks, *mosaics, *catalogue) if task.key.endswith(PRODUCTS)]
     if gridding.plan.area is not None:
-        made = job.store.committed("export")
         terrain = [
             task.key
             for task in tasks
@@ -74,10 +74,25 @@ def export(
         p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
     }
     _refuse_removed(job)
-    if not products:
+    if not all(key in made for key in files):
         raise ProcessingError(
             f"{job.record.failed[-1]['key']} could not be written: {job.record.failed[-1]['error']}"
         )
+
+
+def _kind(job: Job) -> str | None:
+    """What made the clouds, as the run found it or the user says; None where nobody asked."""
+    survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
+    found: str | None = survey.get("kind", job.plan.config.source_kind)
+    return found
+
+
+def _make_folders(tasks: list[Task], out: str) -> None:
+    for folder in {task.arguments.out for task in tasks if not is_url(out)}:
+        try:
+            Path(folder).mkdir(exist_ok=True)
+        except OSError as error:
+            raise refused_write(folder, error, Path(out)) from error
 
 
 def _tell_of_contours(job: Job) -> None:
@@ -126,8 +141,8 @@ def _files(tasks: list[Task]) -> dict[str, str]:
     }
 
 
-def _write(job: Job, stage: str, tasks: list[Task], out: str) -> bool:
-    """Write files that are not there, or not as they were written; whether all products among them are."""
+def _write(job: Job, stage: str, tasks: list[Task], out: str) -> Commits:
+    """Write files that are not there, or not as they were written; the commits of those that were."""
     files = _files(tasks)
     take_back_spoilt(job, stage, files)
     written = run_stage(job, stage, tasks, writes_out=True)
@@ -138,4 +153,4 @@ def _write(job: Job, stage: str, tasks: list[Task], out: str) -> bool:
     for _, record in written.values():
         for text in record.get("notes", ()):
             job.note(text)
-    return all(key in written for key in files if key.endswith(PRODUCTS))
+    return written

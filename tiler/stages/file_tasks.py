@@ -69,6 +69,11 @@ class Sheet:
     cells: list[Cell]
 
 
+def name_of(g: Gridding, product: str, sheet: Sheet) -> str:
+    """The name of a product's file of a sheet, without its ending."""
+    return sheet_name(g.plan.config.sheet_name, product, *sheet.corner, _side(g))
+
+
 def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
     """One task for each raster file.
 
@@ -77,14 +82,13 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
     """
     cut = [] if g.plan.config.sheets is None else [(s, inputs.digest(s.cells)) for s in sheets(g)]
     rasters = raster_table(g.plan.config)
-    template, side = g.plan.config.sheet_name, _side(g)
     for name in g.plan.config.exported:
         raster = final(name, g.plan.config)
         whole = WriteCog(
             product=name,
             out=out,
             tags=_tags(g.plan, name, whole_inputs),
-            nodata=_nodata(g.plan, name),
+            nodata=nodata_of(g.plan, name),
             name=name,
             raster=raster,
             spec=g.spec,
@@ -101,7 +105,7 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
             seen = [[b.name, g.made[raster][b.name][1]["checksum"]] for b in near if b.name in g.made[raster]]
             work = replace(
                 whole,
-                name=sheet_name(template, name, *sheet.corner, side),
+                name=name_of(g, name, sheet),
                 out=joined(out, name),
                 spec=spec,
                 whole=g.spec,
@@ -119,15 +123,15 @@ def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
     """One VRT for each product that is cut into sheets."""
     if g.plan.config.sheets is None:
         return
-    cut, template, side = sheets(g), g.plan.config.sheet_name, _side(g)
+    cut = sheets(g)
     for name in g.plan.config.exported:
-        files = [(sheet_name(template, name, *sheet.corner, side), sheet.spec) for sheet in cut]
-        refuse_alike(template, (file for file, _ in files))
+        files = [(name_of(g, name, sheet), sheet.spec) for sheet in cut]
+        refuse_alike(g.plan.config.sheet_name, (file for file, _ in files))
         work = WriteMosaic(
             product=name,
             out=out,
             tags=_tags(g.plan, name, whole_inputs),
-            nodata=_nodata(g.plan, name),
+            nodata=nodata_of(g.plan, name),
             sheets=tuple((f"{name}/{file}.tif", spec) for file, spec in files),
         )
         yield Task("mosaic", f"{name}.vrt", digest_of(work), write_mosaic, work)
@@ -189,7 +193,7 @@ def sheets(g: Gridding) -> list[Sheet]:
     ]
 
 
-def _nodata(plan: Plan, name: str) -> float | None:
+def nodata_of(plan: Plan, name: str) -> float | None:
     """What the files of a product say where it has no value, if that is the user's to say: not of codes and greys."""
     return plan.config.nodata if PRODUCTS[name].nodata == NODATA else None
 

@@ -397,5 +397,5 @@ def classified_tasks(
             area=None if whole else area_key(plan),
             stamp=source.info.stamp,
         )
-        digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells])
+        digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells], "statistics")
         yield Task("export", f"c{source.number:06d}", digest, write_classified, work, source.info.points)

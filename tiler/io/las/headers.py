@@ -60,6 +60,8 @@ class LasHeader:
         Of the bytes before the points and of the table of chunks.
     notes : tuple of str
         What was wrong and yet does no harm.
+    created : tuple of int
+        Year and day of the year, 1 to 366, on which the file was made; 0 where it does not say.
     """
 
     path: Path
@@ -82,6 +84,7 @@ class LasHeader:
     laz: LazLayout | None = None
     digest: str = ""
     notes: tuple[str, ...] = ()
+    created: tuple[int, int] = (0, 0)
 
     @property
     def size(self) -> int:
@@ -194,6 +197,7 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
     header = LasHeader(
         path, state, (major, minor), encoding, header_size, points_offset, form & 0x3F, length,
         count or legacy_count, fields[21:24], fields[24:27], bounds[1::2], bounds[0::2], waveform, evlrs,
+        created=(fields[9], fields[8]),
     )  # fmt: skip
     if not all(math.isfinite(s) and s > 0 for s in header.scales):
         refuse(path, f"scale factors {header.scales} are not all above 0 and finite")

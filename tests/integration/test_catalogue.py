@@ -1,0 +1,174 @@
+"""classified.vpc and stac.json: what independent programs read of a folder of results."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import laspy
+import numpy as np
+import pytest
+
+from tests.invariants import clouds
+from tests.invariants.runs import do
+from tiler.errors import InputError
+from tiler.ingest import find_inputs
+
+CITY = {"method": "classic", "tile_size": "64"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two clouds in folders of their own, one with times of pulses."""
+    folder = tmp_path_factory.mktemp("clouds")
+    cloud = clouds.city(100.0)
+    for name, side in (("west", cloud.xyz[:, 0] < 50), ("east", cloud.xyz[:, 0] >= 50)):
+        (folder / name).mkdir()
+        clouds.write(folder / name / "a b.laz", cloud.take(side))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def out(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("results") / "out"
+    assert do(folder, out, **CITY).exit_code == 0
+    return out
+
+
+def read(path: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    return found
+
+
+def test_the_virtual_cloud_says_what_the_clouds_hold(out: Path) -> None:
+    features = read(out / "classified.vpc")["features"]
+    assert [f["assets"]["data"]["href"] for f in features] == [
+        "./classified/east/a b.laz",
+        "./classified/west/a b.laz",
+    ]
+    for feature in features:
+        las = laspy.read(out / feature["assets"]["data"]["href"])
+        properties = feature["properties"]
+        assert properties["pc:count"] == len(las)
+        low, high = las.xyz.min(axis=0), las.xyz.max(axis=0)
+        np.testing.assert_allclose(properties["proj:bbox"], [*low, *high], atol=1e-6)
+        told = {s["name"]: s for s in properties["pc:statistics"]}
+        for name, values in (
+            ("Z", las.z),
+            ("Classification", las.classification),
+            ("Intensity", las.intensity),
+        ):
+            values = np.asarray(values, np.float64)
+            assert told[name]["average"] == pytest.approx(values.mean(), abs=1e-6)
+            assert told[name]["variance"] == pytest.approx(values.var(), abs=1e-6)
+            assert (told[name]["minimum"], told[name]["maximum"]) == pytest.approx(
+                (values.min(), values.max())
+            )
+        assert 'ID["EPSG",32632]' in properties["proj:wkt2"]
+        west, south, _, east, north, _ = feature["bbox"]
+        assert 8 < west < east < 10
+        assert 48 < south < north < 49
+
+
+def test_the_item_is_valid_and_its_links_lead_to_files(out: Path) -> None:
+    pystac = pytest.importorskip("pystac", reason="no STAC reader: pystac is not installed")
+    pytest.importorskip("jsonschema")
+    from pystac.validation import RegisteredValidator
+
+    item = pystac.read_file(str(out / "stac.json"))
+    RegisteredValidator.get_validator().validate_core(item.to_dict(), pystac.STACObjectType.ITEM, "1.1.0")
+    assert item.ext.proj.epsg == 32632
+    assert item.ext.proj.shape == [100, 100]
+    assert item.datetime is not None
+    for asset in item.assets.values():
+        assert Path(unquote(asset.get_absolute_href())).is_file(), asset.href
+    assert {"dtm", "outline", "classified.vpc", "report"} < item.assets.keys()
+
+
+def test_equal_inputs_give_equal_bytes_wherever_they_lie(folder: Path, out: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "moved")
+    do(tmp_path / "moved", tmp_path / "other", **{**CITY, "tile_size": "128"})
+    for name in ("classified.vpc", "stac.json"):
+        assert (tmp_path / "other" / name).read_bytes() == (out / name).read_bytes()
+
+
+def test_sheets_are_a_collection(folder: Path, tmp_path: Path) -> None:
+    pystac = pytest.importorskip("pystac", reason="no STAC reader: pystac is not installed")
+    out = tmp_path / "out"
+    do(folder, out, method="keep", sheets="64", products="dtm,mask")
+    found = pystac.read_file(str(out / "stac.json"))
+    items = list(found.get_items())
+    assert len(items) == 6  # the city begins at no multiple of 64 m
+    for item in items:
+        assert item.get_collection().id == found.id
+        assert set(item.assets) == {"dtm", "mask"}
+        assert all(Path(asset.get_absolute_href()).is_file() for asset in item.assets.values())
+    again = do(folder, out, method="keep", products="dtm")
+    assert sorted(path.name for path in (out / "outdated/stac").iterdir()) == sorted(
+        Path(item.get_self_href()).name for item in items
+    )
+    assert again.summary["outputs"].keys() == {"dtm.tif", "outline.gpkg", "stac.json"}
+
+
+def test_a_virtual_cloud_is_an_input(folder: Path, out: Path, tmp_path: Path) -> None:
+    result = do(out / "classified.vpc", tmp_path / "again", **CITY)
+    assert (tmp_path / "again/dtm.tif").read_bytes() != b""
+    assert [Path(i["path"]).parent.name for i in result.summary["inputs"]] == ["east", "west"]
+    assert (tmp_path / "again/classified/classified/east/a b.laz").is_file()
+
+
+def member(href: str) -> dict[str, Any]:
+    return {"type": "Feature", "assets": {"data": {"href": href}}}
+
+
+def test_members_are_found_beside_the_file_or_elsewhere(folder: Path, tmp_path: Path) -> None:
+    places = [
+        "./west/a b.laz",
+        str(folder / "east/a b.laz"),
+        "./west/a b.laz",
+        "https://host/x.copc.laz?key=1",
+    ]
+    file = folder / "town.vpc"
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": [member(p) for p in places]}))
+    try:
+        found = find_inputs([str(file)])
+    finally:
+        file.unlink()
+    assert [str(path) for path in found] == [
+        str(folder / "east/a b.laz"),
+        str(folder / "west/a b.laz"),
+        "https://host/x.copc.laz?key=1",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"\x80", "can't decode byte"),
+        (b"[" * 100_000, "nested too deep"),
+        (b"[]", "holds no object"),
+        (b'{"type": "Feature"}', "holds no FeatureCollection"),
+        (b'{"type": "FeatureCollection", "features": []}', "names no cloud at all"),
+        (b'{"type": "FeatureCollection", "features": [7]}', "its feature 1 names no cloud"),
+        *(
+            (json.dumps({"type": "FeatureCollection", "features": [member(href)]}).encode(), reason)
+            for href, reason in (
+                ("/etc/passwd", "no file of .las, .laz"),
+                ("a.vpc", "no file of .las, .laz"),
+                ("file:///etc/a.laz", "which no virtual point cloud may"),
+                ("simplecache::http://h/a.laz", "which no virtual point cloud may"),
+                ("a\0.laz", "names no cloud"),
+            )
+        ),
+    ],
+)
+def test_what_is_no_virtual_cloud_is_told_in_one_line(content: bytes, reason: str, tmp_path: Path) -> None:
+    file = tmp_path / "bad.vpc"
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=r"bad\.vpc: is no virtual point cloud") as refused:
+        find_inputs([str(file)])
+    assert reason in str(refused.value)
+    assert "\n" not in str(refused.value)

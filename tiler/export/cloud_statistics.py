@@ -1,0 +1,104 @@
+"""Figures of the records of a cloud, exact whatever the pieces in which they come."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.io.las.columns import class_and_flags, colours, returns
+from tiler.io.las.headers import LasHeader
+from tiler.io.las.reader import Records
+
+COORDINATES = ("X", "Y", "Z")
+
+_NOTHING = [2**63, -(2**63), 0, 0]
+
+
+class CloudStatistics:
+    """Adds up the fields of records that people ask for: sums are integers, so their order does not matter.
+
+    Parameters
+    ----------
+    header : LasHeader
+    """
+
+    def __init__(self, header: LasHeader) -> None:
+        self._header = header
+        self._sums: dict[str, list[int]] = {}
+        self._times: list[float] = []
+        self.points = 0
+
+    def add(self, records: Records) -> None:
+        """Take in some records."""
+        self.points += len(records)
+        for name, values in _fields(records, self._header.point_format):
+            found = self._sums.setdefault(name, list(_NOTHING))
+            if values.size:
+                low, high, total, squares = _sums(values)
+                found[:] = [min(found[0], low), max(found[1], high), found[2] + total, found[3] + squares]
+        names = records.dtype.names or ()
+        if "gps_time" in names and self._header.global_encoding & 1:
+            times = records["gps_time"][np.isfinite(records["gps_time"])]
+            if times.size:
+                self._times = [
+                    min([float(times.min()), *self._times]),
+                    max([float(times.max()), *self._times]),
+                ]
+
+    def to_json(self) -> dict[str, Any]:
+        """``fields`` (name to ``minimum``, ``maximum``, ``average``, ``variance``), ``gps`` (adjusted standard times).
+
+        Coordinates are those of the CRS, other fields as they are stored. ``gps`` is None where no time is known.
+        """
+        scales = dict(
+            zip(COORDINATES, zip(self._header.scales, self._header.offsets, strict=True), strict=True)
+        )
+        fields = {}
+        for name, (low, high, total, squares) in self._sums.items() if self.points else ():
+            scale, offset = scales.get(name, (1.0, 0.0))
+            variance = (squares * self.points - total * total) / self.points**2
+            fields[name] = {
+                "minimum": low * scale + offset,
+                "maximum": high * scale + offset,
+                "average": total / self.points * scale + offset,
+                "variance": variance * scale * scale,
+                "stddev": math.sqrt(variance) * scale,
+            }
+        return {"fields": fields, "gps": self._times or None}
+
+
+def _fields(records: Records, point_format: int) -> Iterator[tuple[str, npt.NDArray[Any]]]:
+    """Names, as PDAL and QGIS know them, and values."""
+    for name in COORDINATES:
+        yield name, records[name]
+    yield "Intensity", records["intensity"]
+    number, of = returns(records, point_format)
+    yield "ReturnNumber", number
+    yield "NumberOfReturns", of
+    yield "Classification", class_and_flags(records, point_format)[0]
+    rgb = colours(records, point_format)
+    if rgb is not None:
+        yield from zip(("Red", "Green", "Blue"), rgb, strict=True)
+
+
+def _sums(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
+    """Lowest, highest, sum and sum of squares of integers of at most 32 bits, exact."""
+    if values.dtype.itemsize <= 2:
+        counts = np.bincount(values)
+        found = np.flatnonzero(counts)
+        total = int((found * counts[found]).sum())
+        return int(found[0]), int(found[-1]), total, int((found * found * counts[found]).sum())
+    low, high, n = int(values.min()), int(values.max()), values.size
+    raised = values.astype(np.int64) - low
+    total = int(raised.sum())
+    if high - low < 1 << 22:
+        squares = int(np.dot(raised, raised))
+    else:  # of 500,000 values the squares of both halves of the bits can be added
+        upper, lower = raised >> 16, raised & 0xFFFF
+        parts = [int(np.dot(a, b)) for a, b in ((upper, upper), (upper, lower), (lower, lower))]
+        squares = (parts[0] << 32) + (parts[1] << 17) + parts[2]
+    return low, high, total + n * low, squares + 2 * low * total + n * low * low

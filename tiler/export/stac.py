@@ -1,0 +1,128 @@
+"""Parts of STAC documents (SpatioTemporal Asset Catalogs): where a thing is, when it was measured, what it holds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, date, datetime, timedelta
+from typing import Any
+
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+
+from tiler.core.crs import split
+from tiler.io.las.columns import RGB_FORMATS, is_legacy
+
+Box = tuple[float, float, float, float]
+"""Lowest x, y, highest x, y in units of the CRS."""
+
+UNKNOWN_DATES = {"start_datetime": "1970-01-01T00:00:00Z", "end_datetime": "9999-12-31T23:59:59Z"}
+"""Where nothing tells when a cloud was measured: STAC asks for a time in any case, and none of now is true."""
+
+_WGS84, _DIGITS = 4326, 7
+_GPS_EPOCH, _GPS_OFFSET_S = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000
+_TIMED, _INFRARED = (1, 3, 4, 5), (8, 10)
+_FEWEST_STEPS = 8
+
+
+class Globe:
+    """Brings boxes of a CRS into longitude and latitude.
+
+    Parameters
+    ----------
+    wkt : str or None
+        None, or one that leads nowhere on earth: nothing has a place.
+    """
+
+    def __init__(self, wkt: str | None) -> None:
+        self._transformer: Transformer | None = None
+        self.code: str | None = None
+        horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
+        if horizontal is None:
+            return
+        authority = horizontal.to_authority()
+        self.code = None if authority is None else ":".join(authority)
+        try:
+            self._transformer = Transformer.from_crs(horizontal, _WGS84, always_xy=True)
+        except ProjError:  # of a local CRS
+            return
+
+    def bbox(self, box: Box) -> list[float] | None:
+        """West, south, east, north in degrees."""
+        if self._transformer is None:
+            return None
+        found = self._transformer.transform_bounds(*box, densify_pts=_FEWEST_STEPS)
+        return [round(v, _DIGITS) for v in found] if all(map(math.isfinite, found)) else None
+
+    def polygon(self, box: Box) -> dict[str, Any] | None:
+        """The box as GeoJSON in degrees."""
+        if self._transformer is None or self.bbox(box) is None:
+            return None
+        places = self._transformer.itransform(corners(box))
+        return {"type": "Polygon", "coordinates": [[[round(v, _DIGITS) for v in place] for place in places]]}
+
+
+def corners(box: Box) -> list[list[float]]:
+    """The ring of a box, counter-clockwise."""
+    x0, y0, x1, y1 = box
+    return [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
+
+
+def dates_of_header(created: tuple[int, int]) -> tuple[date, date] | None:
+    """The day on which a file was made, by year and day of the year; None where they are none."""
+    year, day = created
+    if not (1900 <= year <= 9998 and 1 <= day <= 366):
+        return None
+    found = date(year, 1, 1) + timedelta(days=day - 1)
+    return found, found
+
+
+def dates_of_gps(times: Sequence[float] | None) -> tuple[date, date] | None:
+    """First and last day of adjusted standard GPS times; None where they are none."""
+    try:
+        first, last = (_GPS_EPOCH + timedelta(seconds=t + _GPS_OFFSET_S) for t in times or ())
+    except (ValueError, OverflowError):
+        return None
+    return first.date(), last.date()
+
+
+def dates(found: Iterable[tuple[date, date] | None]) -> dict[str, str | None]:
+    """``datetime``, and ``start_datetime`` and ``end_datetime`` where it is no single day, of what has these dates."""
+    known = [dates for dates in found if dates is not None]
+    if not known:
+        return {"datetime": None, **UNKNOWN_DATES}
+    first, last = min(a for a, _ in known), max(b for _, b in known)
+    if first == last:
+        return {"datetime": f"{first.isoformat()}T00:00:00Z"}
+    start, end = f"{first.isoformat()}T00:00:00Z", f"{last.isoformat()}T23:59:59Z"
+    return {"datetime": None, "start_datetime": start, "end_datetime": end}
+
+
+def schema(point_formats: Iterable[int]) -> list[dict[str, Any]]:
+    """``pc:schemas``: what points of these formats hold, by the names of PDAL and QGIS."""
+    formats = set(point_formats)
+    found = [*((axis, 8, "floating") for axis in "XYZ"), ("Intensity", 2, "unsigned")]
+    bytes_ = ["ReturnNumber", "NumberOfReturns", "ScanDirectionFlag", "EdgeOfFlightLine", "Classification"]
+    found += [(name, 1, "unsigned") for name in bytes_]
+    found += [("ScanAngleRank", 4, "floating"), ("UserData", 1, "unsigned"), ("PointSourceId", 2, "unsigned")]
+    newer = any(not is_legacy(form) for form in formats)
+    if newer or formats & set(_TIMED):
+        found.append(("GpsTime", 8, "floating"))
+    if newer:
+        found.append(("ScanChannel", 1, "unsigned"))
+    if formats & set(RGB_FORMATS):
+        found += [(name, 2, "unsigned") for name in ("Red", "Green", "Blue")]
+    if formats & set(_INFRARED):
+        found.append(("Infrared", 2, "unsigned"))
+    return [{"name": name, "size": size, "type": kind} for name, size, kind in found]
+
+
+def statistics(
+    fields: Mapping[str, Mapping[str, float]], points: int, names: Sequence[str]
+) -> list[dict[str, Any]]:
+    """``pc:statistics`` of a cloud (`tiler.export.cloud_statistics`); ``names`` are those of its schema."""
+    return [
+        {"name": name, "position": position, "count": points, **dict(sorted(fields[name].items()))}
+        for position, name in enumerate(names)
+        if name in fields
+    ]

@@ -1,0 +1,299 @@
+"""What tells other programs of the results: ``classified.vpc`` (QGIS, pdal_wrench) and ``stac.json`` (STAC 1.1).
+
+Nothing in them tells of time or place of the run, so that the same content gives the same bytes, and all links are
+relative, so that OUT can be published as it is.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import PurePosixPath
+from typing import Any
+from urllib.parse import quote
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.products import HEIGHT, PRODUCTS
+from tiler.core.raster import RasterSpec
+from tiler.core.units import unit_label
+from tiler.export import WriteText, stac, write_text
+from tiler.io.locations import joined
+from tiler.io.result_folder import CLASSIFIED, OUTLINE, REPORT, SHEET_ITEMS, SHEETS, STAC, VIRTUAL, WATER
+from tiler.plan import KEEP
+from tiler.schedule import Task, digest_of
+from tiler.stages.file_tasks import Sheet, name_of, nodata_of, sheets
+from tiler.stages.gridding import Gridding
+from tiler.stages.tasks import Source
+from tiler.store import Commits
+from tiler.version import __version__
+
+STAGE = "catalogue"
+_DIGITS = 9
+"""After the point, of coordinates: beyond are the traces of binary fractions."""
+_SCHEMAS = "https://stac-extensions.github.io"
+_POINTCLOUD = f"{_SCHEMAS}/pointcloud/v1.0.0/schema.json"
+_OF_VIRTUAL = [_POINTCLOUD, f"{_SCHEMAS}/projection/v1.1.0/schema.json"]
+_OF_RASTERS = [f"{_SCHEMAS}/projection/v2.0.0/schema.json", f"{_SCHEMAS}/raster/v2.0.0/schema.json"]
+_COG = "image/tiff; application=geotiff; profile=cloud-optimized"
+_GPKG = "application/geopackage+sqlite3"
+_VRT, _LAZ, _JSON = "application/xml", "application/vnd.laszip", "application/json"
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A classified cloud that was written: its place below OUT, its source, and the record of its task."""
+
+    path: str
+    source: Source
+    record: Mapping[str, Any]
+
+    @property
+    def dates(self) -> Any:
+        """First and last day, by the times of the pulses, else by the date of the file that was read."""
+        return stac.dates_of_gps(self.record["statistics"]["gps"]) or stac.dates_of_header(
+            self.source.info.created
+        )
+
+
+def planned(gridding: Gridding) -> dict[str, str]:
+    """Key of each task of this stage to the path below OUT of its file."""
+    config = gridding.plan.config
+    cut = [] if config.sheets is None else [_item_path(gridding, sheet) for sheet in sheets(gridding)]
+    found = [STAC, *cut] if config.method == KEEP else [STAC, VIRTUAL, *cut]
+    return {path.rpartition("/")[2]: path for path in found}
+
+
+def catalogue_tasks(
+    gridding: Gridding, sources: Sequence[Source], kind: str | None, written: Commits, out: str
+) -> Iterator[Task]:
+    """One for each file.
+
+    Parameters
+    ----------
+    gridding : Gridding
+    sources : sequence of Source
+    kind : str or None
+        What made the clouds, as the run found it.
+    written : Commits
+        Of the stages export and mosaic.
+    out : str
+    """
+    maker = _Catalogue(gridding, sources, kind, written)
+    for path, content in maker.documents().items():
+        folder, _, name = path.rpartition("/")
+        work = WriteText(
+            name=name,
+            out=joined(out, folder) if folder else out,
+            text=json.dumps(content, indent=None if name == VIRTUAL else 1) + "\n",
+        )
+        yield Task(STAGE, name, digest_of(work), write_text, work)
+
+
+class _Catalogue:
+    """Makes the documents of a run; parameters as of `catalogue_tasks`."""
+
+    def __init__(
+        self, gridding: Gridding, sources: Sequence[Source], kind: str | None, written: Commits
+    ) -> None:
+        self._gridding, self._plan, self._written = gridding, gridding.plan, written
+        self._globe = stac.Globe(self._plan.meta.frame.crs_wkt)
+        self._type = "eopc" if kind == "dim" else "lidar"
+        self._sources = sources
+        self.clouds = [
+            Cloud(f"{CLASSIFIED}/{self._plan.names[s.info.path].as_posix()}", s, written[key][1])
+            for s in sources
+            if (key := f"c{s.number:06d}") in written
+        ]
+
+    def documents(self) -> dict[str, dict[str, Any]]:
+        """Path below OUT to content."""
+        found: dict[str, dict[str, Any]] = {}
+        if self._plan.config.method != KEEP:
+            features = [self._virtual(cloud) for cloud in self.clouds if cloud.record["statistics"]["fields"]]
+            found[VIRTUAL] = {"type": "FeatureCollection", "features": features}
+        if self._plan.config.sheets is None:
+            found[STAC] = self._whole()
+            return found
+        cut = sheets(self._gridding)
+        items = {_item_path(self._gridding, sheet): self._sheet(sheet) for sheet in cut}
+        return {**found, STAC: self._collection(items), **items}
+
+    def _virtual(self, cloud: Cloud) -> dict[str, Any]:
+        """A classified cloud as a feature of the virtual one."""
+        wkt, info, fields = (
+            self._plan.meta.frame.crs_wkt,
+            cloud.source.info,
+            cloud.record["statistics"]["fields"],
+        )
+        schema = stac.schema([info.point_format])
+        names = [entry["name"] for entry in schema]
+        low, high = ([fields[axis][end] for axis in "XYZ"] for end in ("minimum", "maximum"))
+        low, high = ([round(v, _DIGITS) for v in place] for place in (low, high))
+        box = (low[0], low[1], high[0], high[1])
+        native = {"type": "Polygon", "coordinates": [stac.corners(box)]}
+        west, south, east, north = self._globe.bbox(box) or box
+        return {
+            "type": "Feature", "stac_version": "1.0.0", "stac_extensions": _OF_VIRTUAL,
+            "id": str(PurePosixPath(cloud.path).relative_to(CLASSIFIED).with_suffix("")),
+            "geometry": self._globe.polygon(box) or native, "bbox": [west, south, low[2], east, north, high[2]],
+            "properties": {
+                **stac.dates([cloud.dates]), "pc:count": cloud.record["points"], "pc:type": self._type,
+                "pc:encoding": "LASzip", "pc:schemas": schema,
+                "pc:statistics": stac.statistics(fields, cloud.record["points"], names),
+                **({"proj:wkt2": wkt} if wkt else {}), "proj:geometry": native, "proj:bbox": [*low, *high],
+            },
+            "links": [],
+            "assets": {"data": {"href": f"./{cloud.path}", "type": _LAZ, "roles": ["data"]}},
+        }  # fmt: skip
+
+    def _whole(self) -> dict[str, Any]:
+        """The item of a run that is not cut into sheets."""
+        rasters = {name: f"{name}.tif" for name in self._plan.config.exported}
+        assets = {**self._rasters(rasters, "."), **self._besides()}
+        item = self._item(self._id, self._gridding.spec, assets, [])
+        if self.clouds:
+            item["stac_extensions"] = [*item["stac_extensions"], _POINTCLOUD]
+            item["properties"] |= {
+                "pc:count": sum(cloud.record["points"] for cloud in self.clouds), "pc:type": self._type,
+                "pc:encoding": "LASzip", "pc:schemas": stac.schema(c.source.info.point_format for c in self.clouds),
+            }  # fmt: skip
+        return item
+
+    def _sheet(self, sheet: Sheet) -> dict[str, Any]:
+        exported = self._plan.config.exported
+        rasters = {name: f"{name}/{name_of(self._gridding, name, sheet)}.tif" for name in exported}
+        place = "_".join(f"{edge:.10g}" for edge in sheet.corner)
+        links = [
+            {"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in ("root", "parent", "collection")
+        ]
+        item = self._item(f"{self._id}_{place}", sheet.spec, self._rasters(rasters, ".."), links)
+        return {**item, "collection": self._id}
+
+    def _collection(self, items: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+        """The collection of the sheets."""
+        boxes = [item["bbox"] for item in items.values() if "bbox" in item]
+        hull = (
+            [*map(min, *(b[:2] for b in boxes * 2)), *map(max, *(b[2:] for b in boxes * 2))]
+            if boxes
+            else None
+        )
+        when = self._dates()
+        interval = [
+            when.get("start_datetime") or when["datetime"],
+            when.get("end_datetime") or when["datetime"],
+        ]
+        assets = {
+            **{
+                name: {"href": f"./{name}.vrt", "type": _VRT, "roles": ["data"], "title": PRODUCTS[name].description}
+                for name in self._plan.config.exported if f"{name}.vrt" in self._written
+            },
+            **self._besides(),
+        }  # fmt: skip
+        return {
+            "type": "Collection", "stac_version": "1.1.0", "stac_extensions": [], "id": self._id,
+            "title": "Terrain in sheets", "description": self._description, "license": "other",
+            "extent": {
+                "spatial": {"bbox": [hull or [-180, -90, 180, 90]]}, "temporal": {"interval": [interval]},
+            },
+            "links": [
+                {"rel": "root", "href": f"./{STAC}", "type": _JSON},
+                *({"rel": "item", "href": f"./{quote(path)}", "type": "application/geo+json"} for path in items),
+            ],
+            "assets": assets,
+        }  # fmt: skip
+
+    def _item(
+        self, name: str, spec: RasterSpec, assets: Mapping[str, Any], links: Sequence[Mapping[str, str]]
+    ) -> dict[str, Any]:
+        """An item whose rasters have these pixels."""
+        a, b, c, d, e, f = spec.transform(COUNTS_PER_UNIT)
+        box = _box(spec)
+        bbox = self._globe.bbox(box)
+        return {
+            "type": "Feature", "stac_version": "1.1.0", "stac_extensions": _OF_RASTERS, "id": name,
+            "geometry": self._globe.polygon(box), **({} if bbox is None else {"bbox": bbox}),
+            "properties": {
+                "title": "Terrain", "description": self._description, **self._dates(),
+                "proj:code": self._globe.code, "proj:wkt2": self._plan.meta.frame.crs_wkt,
+                "proj:bbox": list(box), "proj:geometry": {"type": "Polygon", "coordinates": [stac.corners(box)]},
+                "proj:shape": [spec.height, spec.width], "proj:transform": [a, b, c, d, e, f],
+            },
+            "links": list(links), "assets": dict(assets),
+        }  # fmt: skip
+
+    def _rasters(self, paths: Mapping[str, str], base: str) -> dict[str, Any]:
+        """The assets of rasters that were written."""
+        found = {}
+        for name, path in paths.items():
+            key = path.rpartition("/")[2]
+            if key in self._written:
+                product, record = PRODUCTS[name], self._written[key][1]
+                found[name] = {
+                    "href": f"{base}/{quote(path)}", "type": _COG, "title": product.description, "roles": ["data"],
+                    "bands": [self._band(name, record)],
+                }  # fmt: skip
+        return found
+
+    def _band(self, name: str, record: Mapping[str, Any]) -> dict[str, Any]:
+        product, units = PRODUCTS[name], self._plan.meta.frame.units
+        nodata = nodata_of(self._plan, name)
+        nodata = product.nodata if nodata is None else nodata
+        unit = unit_label(units.vertical) if product.unit == HEIGHT else product.unit
+        figures = {"minimum": record["min"], "maximum": record["max"], "mean": record["mean"]}
+        shares = {"valid_percent": round(100 * record["valid"] / max(record["pixels"], 1), 4)}
+        return {
+            "name": name, "description": product.description, "data_type": product.dtype,
+            **({} if nodata is None else {"nodata": nodata}), **({"unit": unit} if unit else {}),
+            "statistics": {**{k: v for k, v in figures.items() if v is not None}, **shares},
+            "raster:sampling": "area", "raster:spatial_resolution": float(self._plan.resolution),
+        }  # fmt: skip
+
+    def _besides(self) -> dict[str, Any]:
+        """The assets that are no rasters."""
+        found: dict[str, Any] = {}
+        drawn = [OUTLINE, WATER, SHEETS, *(f"{name}.gpkg" for name in self._plan.config.drawn)]
+        for name in (name for name in drawn if name in self._written):
+            found[name.removesuffix(".gpkg")] = {"href": f"./{name}", "type": _GPKG, "roles": ["data"]}
+        if self.clouds:
+            found[VIRTUAL] = {
+                "href": f"./{VIRTUAL}", "type": "application/geo+json", "roles": ["metadata"],
+                "title": "classified clouds as one",
+            }  # fmt: skip
+        for cloud in self.clouds:
+            found[cloud.path.removesuffix(".laz")] = {
+                "href": f"./{quote(cloud.path)}", "type": _LAZ, "roles": ["data"],
+                "title": "points with their classes", "pc:count": cloud.record["points"],
+            }  # fmt: skip
+        found["report"] = {"href": f"./{REPORT}", "type": "text/html", "roles": ["metadata"]}
+        return found
+
+    def _dates(self) -> dict[str, str | None]:
+        if self.clouds:
+            return stac.dates(cloud.dates for cloud in self.clouds)
+        return stac.dates(stac.dates_of_header(source.info.created) for source in self._sources)
+
+    @cached_property
+    def _id(self) -> str:
+        """The same for rasters of the same bytes, however they came about."""
+        rasters = [
+            [key, record["digest"]] for key, (_, record) in self._written.items() if key.endswith(".tif")
+        ]
+        return f"terrain-{digest_of(sorted(rasters))[:16]}"
+
+    @property
+    def _description(self) -> str:
+        pixel, method = float(self._plan.resolution), self._plan.config.method
+        return f"Terrain of {pixel:g} m pixels, ground by {method}, made by tiler {__version__}"
+
+
+def _box(spec: RasterSpec) -> stac.Box:
+    """The edges of a raster in units of the CRS."""
+    a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
+    return (x, y + e * spec.height, x + a * spec.width, y)
+
+
+def _item_path(gridding: Gridding, sheet: Sheet) -> str:
+    """The file below OUT of a sheet's item."""
+    return f"{SHEET_ITEMS}/{name_of(gridding, SHEET_ITEMS, sheet)}.json"
