@@ -13,7 +13,7 @@ from ptd.cells import lowest_per_cell
 from ptd.frame import Cells, Scale, Window
 from ptd.methods import METHODS
 from ptd.params import to_json
-from ptd.passes import KINDS, Int32, Model, Pass, Points, RunFacts, UInt8, later_passes
+from ptd.passes import KINDS, Int32, Model, Pass, Points, RunFacts, UInt8, later_passes, read_at_candidates
 
 COUNTS_PER_METRE = 1000
 LARGEST_EXTENT_M = 60_000.0
@@ -158,11 +158,8 @@ class _Cloud:
             seen = self.seen(step)
             self.elected = replace(seen, labels=model.label(_given(seen, step))[0])
             return
-        wanted = not later or any(other.every_point or other.label_margin_m for other in later)
-        if self.some is not None and not wanted:
-            self.some = replace(
-                self.some, labels=model.label(_given(self.some, step))[0]
-            )  # nobody asks for the others'
+        if self.some is not None and read_at_candidates(later):
+            self.some = replace(self.some, labels=model.label(_given(self.some, step))[0])
             return
         self.everything = replace(self.everything, labels=model.label(_given(self.everything, step))[0])
         if self.some is not None and later:

@@ -253,6 +253,11 @@ def later_passes(passes: Sequence[Pass], number: int, state: State) -> list[Pass
     return [step for step in passes[number + 1 :] if step.applies(state)]
 
 
+def read_at_candidates(later: Sequence[Pass]) -> bool:
+    """Whether the labels that come before some passes, at least one, are asked for at candidates alone."""
+    return bool(later) and not any(step.every_point or step.label_margin_m for step in later)
+
+
 @dataclass(frozen=True)
 class Method:
     """A filter by name.

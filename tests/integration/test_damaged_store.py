@@ -101,9 +101,9 @@ def test_a_disk_that_damages_everything_ends_the_run(
 
     write = points.write_rows
 
-    def damaging(storage, array, bucket, values):  # type: ignore[no-untyped-def]
-        write(storage, array, bucket, values)
-        for path in Path(storage.url, array.path, "c").rglob("0"):
+    def damaging(array, bucket, values):  # type: ignore[no-untyped-def]
+        write(array, bucket, values)
+        for path in Path(array.storage.url, array.path, "c").rglob("0"):
             if path.is_file():
                 flip(path)
 

@@ -55,9 +55,11 @@ class PointBlock:
 
     def inside(self, bounds: Bounds, origin: tuple[int, int]) -> npt.NDArray[np.bool_]:
         """Mask of the points in ``bounds`` (absolute counts), given the frame's origin."""
-        x = self.xyz[0].astype(np.int64) + origin[0]
-        y = self.xyz[1].astype(np.int64) + origin[1]
-        mask: npt.NDArray[np.bool_] = (x >= bounds.x0) & (x < bounds.x1) & (y >= bounds.y0) & (y < bounds.y1)
+        (x, y, _), (ox, oy) = self.xyz, origin
+        mask: npt.NDArray[np.bool_] = x >= bounds.x0 - ox
+        mask &= x < bounds.x1 - ox
+        mask &= y >= bounds.y0 - oy
+        mask &= y < bounds.y1 - oy
         return mask
 
     @staticmethod

@@ -109,10 +109,12 @@ class TileReader:
         if self._work.of_elected:
             block = self._elected(self._store.meta.bucket.bounds(cell))
             return Bucket(self._as_points(block), np.ones(len(block), np.bool_), _any_marked(block))
-        block = self._store.read_bucket(cell, (*self._columns, "classification", "flags"))
-        if self._labels is not None:
-            block = dataclasses.replace(block, labels=self._store.read_labels(self._labels, cell))
-        which = self._taking_part(block)
+        few = self._work.of_candidates  # which all take part
+        columns = self._columns if few else (*self._columns, "classification", "flags")
+        block = self._store.read_bucket(cell, columns, few)
+        if self._labels is not None and (few or not self._work.in_of_candidates):
+            block = dataclasses.replace(block, labels=self._store.read_labels(self._labels, cell, few))
+        which = np.ones(len(block), np.bool_) if few else self._taking_part(block)
         if not which.all():
             block = block.take(which)
         return Bucket(self._as_points(block), which, _any_marked(block))

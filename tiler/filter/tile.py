@@ -85,9 +85,11 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
         labels = {cell: found | (found > 0) * np.uint8(MARK_BIT) for cell, found in labels.items()}
         marked = sum(int(np.count_nonzero(found)) for found in labels.values())
     elected = {} if work.elected_out is None else _elect(store, work.cells, model, work.elected_out)
-    write = store.write_elected_labels if work.of_elected or step.elects else store.write_labels
     for cell, found in labels.items():
-        write(work.labels_out, cell, found)
+        if work.of_elected or step.elects:
+            store.write_elected_labels(work.labels_out, cell, found)
+        else:
+            store.write_labels(work.labels_out, cell, found, work.of_candidates)
     given = np.concatenate(list(labels.values())) if labels else np.zeros(0, np.uint8)
     counts = np.bincount(given & ~np.uint8(MARK_BIT), minlength=256)
     return {
@@ -111,7 +113,7 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
 
 
 def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:
-    """Labels with marks of all points of a bucket, in its order, and whether a label around it was marked.
+    """Labels with marks of the points of a bucket, in its order, and whether a label around it was marked.
 
     Points that have no part in filtering are not shown to the model.
     """

@@ -35,6 +35,8 @@ class FilterTile:
         Of the points elected before, of their labels, and of those that this pass elects.
     of_elected : bool
         The labels of this pass are those of elected points.
+    of_candidates, in_of_candidates : bool
+        The labels of this pass, and those of the pass before, are those of candidates: nobody asks for others.
     held_bytes : int
         Of buckets kept for their neighbours.
     """
@@ -54,6 +56,8 @@ class FilterTile:
     elected_labels_in: str | None
     elected_out: str | None
     of_elected: bool
+    of_candidates: bool
+    in_of_candidates: bool
     held_bytes: int = field(metadata=NOT_IN_DIGEST)
 
     def place(self, buckets: Lattice) -> Bounds | None:

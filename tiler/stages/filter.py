@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ptd.methods import METHODS
-from ptd.passes import MethodRefusal, Pass, RunFacts, State, later_passes
+from ptd.passes import MethodRefusal, Pass, RunFacts, State
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile
@@ -18,7 +18,7 @@ from tiler.runs.compiling import filter_kernels, likely_kind
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
-from tiler.stages.tasks import Assembled, Before, filter_tasks
+from tiler.stages.tasks import Assembled, Before, filter_tasks, labels_given
 
 
 def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
@@ -55,11 +55,11 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
         if not filtered:
             raise ProcessingError(f"no tile could be filtered; the first: {job.record.failed[0]['error']}")
         if step.elects or step.gives_labels:
-            is_last = step.gives_labels and not later_passes(passes, number, state)
+            is_last, few = labels_given(job.plan, number, state)
             for task in tasks:
                 if task.key not in filtered:
                     _leave_out(job, task, step, before)
-            before = before.after(number, step, is_last, assembled, filtered)
+            before = before.after(number, step, is_last, few, assembled, filtered)
             last = step.name if is_last else ""
         if step.gives_labels:
             job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
@@ -116,7 +116,9 @@ def _leave_out(job: Job, task: Task, step: Pass, before: Before) -> None:
             labels = np.zeros(before.n_elected[cell], np.uint8)
             job.store.write_elected_labels(work.labels_out, cell, labels)
         else:
-            job.store.write_labels(work.labels_out, cell, np.zeros(buckets[cell].n, np.uint8))
+            bucket = buckets[cell]
+            labels = np.zeros(bucket.n_candidates if work.of_candidates else bucket.n, np.uint8)
+            job.store.write_labels(work.labels_out, cell, labels, work.of_candidates)
 
 
 def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:

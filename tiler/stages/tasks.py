@@ -15,7 +15,7 @@ from functools import cached_property, reduce
 from typing import Any
 
 from ptd.methods import METHODS
-from ptd.passes import Pass, later_passes
+from ptd.passes import Pass, later_passes, read_at_candidates
 from tiler.core.classes import GROUND, OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
@@ -38,7 +38,7 @@ from tiler.io.locations import joined, location
 from tiler.io.result_folder import CLASSIFIED
 from tiler.plan import KEEP, PIECE_POINTS, Plan
 from tiler.plan.filter_tiles import tiles_of
-from tiler.plan.memory import held_bytes
+from tiler.plan.memory import held_bytes, nested
 from tiler.schedule import Task, digest_of
 from tiler.store import Commits
 from tiler.version import __version__
@@ -217,6 +217,8 @@ class Before:
     ----------
     labels, elected, elected_labels : str or None
         Of the last labels of points, of the points that were elected, and of these points' last labels.
+    of_candidates : bool
+        The last labels of points are those of candidates.
     digests, elected_digests : mapping of Cell to str
         Of the contents of a bucket with the labels of its points, and with what was elected there, labels and all.
     n_elected : mapping of Cell to int
@@ -225,13 +227,19 @@ class Before:
 
     digests: Mapping[Cell, str]
     labels: str | None = None
+    of_candidates: bool = False
     elected: str | None = None
     elected_labels: str | None = None
     elected_digests: Mapping[Cell, str] = field(default_factory=dict)
     n_elected: Mapping[Cell, int] = field(default_factory=dict)
 
-    def after(self, number: int, step: Pass, last: bool, assembled: Assembled, done: Commits) -> Before:
-        """What there is after a pass that was done, and that elects or gives labels; ``last``: of all points."""
+    def after(
+        self, number: int, step: Pass, last: bool, few: bool, assembled: Assembled, done: Commits
+    ) -> Before:
+        """What there is after a pass that was done, and that elects or gives labels.
+
+        ``last``: of all points; ``few``: of candidates alone.
+        """
         if step.elects:
             counts = dict.fromkeys(assembled.records, 0)
             for _, record in done.values():
@@ -252,7 +260,7 @@ class Before:
         if step.elected and not last:
             both = {cell: digest_of(digest, self.elected_digests[cell]) for cell, digest in digests.items()}
             return replace(self, elected_labels=labels_name(number), elected_digests=both)
-        return replace(self, labels=labels_name(number), digests=digests)
+        return replace(self, labels=labels_name(number), of_candidates=few, digests=digests)
 
 
 def labels_name(number: int) -> str:
@@ -265,6 +273,17 @@ def elected_name(number: int) -> str:
     return f"elected-{number}"
 
 
+def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[bool, bool]:
+    """Whether the labels that a pass gives are the last ones, and whether they are those of candidates alone."""
+    params = METHODS[plan.config.method].params(**plan.parameters)
+    step = params.passes[number]
+    if not step.gives_labels:
+        return False, False
+    later = later_passes(params.passes, number, state)
+    few = not (step.elected or step.elects or step.label_margin_m) and nested(plan.candidate_cell_m)
+    return not later, few and read_at_candidates(later)
+
+
 def filter_tasks(
     plan: Plan, assembled: Assembled, number: int, state: Mapping[str, Any], before: Before
 ) -> Iterator[Task]:
@@ -272,7 +291,7 @@ def filter_tasks(
     frame = plan.meta.frame
     params = METHODS[plan.config.method].params(**plan.parameters)
     step = params.passes[number]
-    last = step.gives_labels and not later_passes(params.passes, number, state)
+    last, few = labels_given(plan, number, state)
     if step.elected and before.elected is None:
         raise ValueError(f"pass {step.name} works on elected points, and no pass before it elected any")
     beyond = math.ceil(frame.counts(Fraction(sight_m(step, params))))
@@ -298,6 +317,8 @@ def filter_tasks(
             elected_labels_in=before.elected_labels if step.elected and reads else None,
             elected_out=elected_name(number) if step.elects else None,
             of_elected=step.elected and not last,
+            of_candidates=few,
+            in_of_candidates=reads and before.of_candidates,
             held_bytes=held_bytes(plan.memory),
         )
         sight = plan.meta.bucket.hull(tile.cells).pad(max(tile.max_halo + beyond, margin))

@@ -66,18 +66,31 @@ def create_array(
     attributes: dict[str, Any] | None = None,
 ) -> ZarrArray:
     """A new array, or the one that another task made at the same time with the same arguments."""
-    if storage.get(_metadata_key(path)) is None:
-        _put(storage, path, _metadata(shape, kind, attributes or {}))
+    create_metadata(storage, path, shape, kind, attributes)
     array = find_array(storage, path, kind)
     if array is None:
         raise StoreError(f"{storage.url}: {path} vanished while it was made; is another run at work here?")
     return array
 
 
-def lengthen_array(storage: Storage, path: str, kind: ArrayKind, shape: tuple[int, ...]) -> None:
-    """Let an array that is there be longer, along its first axis."""
-    array = open_array(storage, path, kind)
-    _put(storage, path, _metadata(shape, kind, dict(array.attrs)))
+def create_metadata(
+    storage: Storage,
+    path: str,
+    shape: tuple[int, ...],
+    kind: ArrayKind,
+    attributes: dict[str, Any] | None = None,
+) -> None:
+    """Say that there is an array, unless somebody has said so."""
+    if storage.get(_metadata_key(path)) is None:
+        replace_metadata(storage, path, shape, kind, attributes or {})
+
+
+def replace_metadata(
+    storage: Storage, path: str, shape: tuple[int, ...], kind: ArrayKind, attributes: dict[str, Any]
+) -> None:
+    """Say what an array is from now on: its chunks stay as they are."""
+    metadata = _metadata(shape, kind, attributes)
+    storage.put(_metadata_key(path), json.dumps(sealed(metadata)).encode())
 
 
 def _metadata(shape: tuple[int, ...], kind: ArrayKind, attributes: dict[str, Any]) -> dict[str, Any]:
@@ -97,8 +110,16 @@ def _metadata_key(path: str) -> str:
     return f"{path}/zarr.json"
 
 
-def _put(storage: Storage, path: str, metadata: dict[str, Any]) -> None:
-    storage.put(_metadata_key(path), json.dumps(sealed(metadata)).encode())
+def find_metadata(storage: Storage, path: str, kind: ArrayKind) -> dict[str, Any] | None:
+    """What is said of the array at ``path``; None where there is none.
+
+    Raises
+    ------
+    StoreError
+        The array is not one that tiler writes.
+    """
+    data = storage.get(_metadata_key(path))
+    return None if data is None else _checked(data, f"{storage.url}: {path}", path, kind)
 
 
 def find_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray | None:
@@ -111,10 +132,9 @@ def find_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray | None
     StoreError
         The array is not one that tiler writes.
     """
-    data = storage.get(_metadata_key(path))
-    if data is None:
+    metadata = find_metadata(storage, path, kind)
+    if metadata is None:
         return None
-    metadata = _checked(data, f"{storage.url}: {path}", path, kind)
     store = _Checked(storage.zarr_store, kind)
     parsed = ArrayV3Metadata.from_dict(metadata)
     config: ArrayConfigParams = {"write_empty_chunks": not kind.sparse}
@@ -125,8 +145,13 @@ def open_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray:
     """The array at ``path``; raises StoreError where there is none, or a foreign one."""
     array = find_array(storage, path, kind)
     if array is None:
-        raise DamagedError(f"{storage.url}: there is no {path}; run the stage that writes it first", (path,))
+        raise no_array(storage, path)
     return array
+
+
+def no_array(storage: Storage, path: str) -> DamagedError:
+    """The error of an array that should be there."""
+    return DamagedError(f"{storage.url}: there is no {path}; run the stage that writes it first", (path,))
 
 
 def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, Any]:

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
-from tiler.store import arrays, layout, points
+from tiler.store import points
 from tiler.store.index import Bucket
 from tiler.store.layout import NOWHERE, ROW_POINTS
-from tiler.store.storage import Storage
+from tiler.store.rows import RowArray
 
 _ROWS_AT_ONCE = 8
 
@@ -23,15 +23,7 @@ def places(bucket: Bucket, n: int) -> list[points.Part]:
     return [points.Part(bucket, part.row, ROW_POINTS) for part in points.parts_of(bucket, n)]
 
 
-def make_array(storage: Storage, path: str, kind: layout.ArrayKind, rows: int) -> arrays.ZarrArray:
-    """The array at ``path``, made by the first task that writes to it; others make the same."""
-    shape = (rows, *kind.chunks[1:])
-    return arrays.find_array(storage, path, kind) or arrays.create_array(storage, path, shape, kind)
-
-
-def write(
-    storage: Storage, array: arrays.ZarrArray, bucket: Bucket, n: int, values: npt.NDArray[np.generic]
-) -> None:
+def write(array: RowArray, bucket: Bucket, n: int, values: npt.NDArray[np.generic]) -> None:
     """Write elected points (3, m) of a bucket of ``n`` points, or labels (1, m); StoreError where they have no room."""
     room = len(places(bucket, n)) * ROW_POINTS
     m = values.shape[1]
@@ -40,15 +32,14 @@ def write(
             f"bucket {bucket.cell.name}: {m} elected points do not fit the rows of {n} points; "
             "elect no more than there are"
         )
-    full = np.full((values.shape[0], room), array.fill_value, values.dtype)
+    full = np.full((values.shape[0], room), array.kind.fill, values.dtype)
     full[:, :m] = values
-    points.write_rows(storage, array, bucket, full)
+    points.write_rows(array, bucket, full)
 
 
 def read(
-    storage: Storage,
-    array: arrays.ZarrArray,
-    labels: arrays.ZarrArray | None,
+    array: RowArray,
+    labels: RowArray | None,
     parts: Iterable[points.Part],
     bounds: Bounds,
     origin: tuple[int, int],
@@ -59,11 +50,11 @@ def read(
     wanted = list(parts)
     for start in range(0, len(wanted), _ROWS_AT_ONCE):
         batch = wanted[start : start + _ROWS_AT_ONCE]
-        xyz = points.read_rows(storage, array, batch)
+        xyz = points.read_rows(array, batch)
         keep = (xyz[0] != NOWHERE) & PointBlock(xyz).inside(bounds, origin)
         held.append(xyz[:, keep])
         if labels is not None:
-            labelled.append(points.read_rows(storage, labels, batch)[0, keep])
+            labelled.append(points.read_rows(labels, batch)[0, keep])
     return PointBlock(
         np.concatenate(held, axis=1), labels=None if labels is None else np.concatenate(labelled)
     )

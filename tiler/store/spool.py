@@ -12,6 +12,8 @@ import numpy.typing as npt
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
 from tiler.store import arrays, layout
+from tiler.store.layout import SPOOL_CHUNK
+from tiler.store.rows import RowArray, open_rows
 from tiler.store.storage import Storage
 
 Index = list[tuple[int, int, int]]
@@ -42,24 +44,27 @@ def write_piece(
     # A piece of no points still has an array, with its index, so that it reads like any other.
     shape = (len(block), records.dtype.itemsize)
     attributes = {"index": [[int(v) for v in run] for run in index]}
-    array = arrays.create_array(storage, path, shape, kind, attributes)
-    if len(block):
-        arrays.write(storage, array, slice(None), records.view(np.uint8).reshape(shape))
+    arrays.create_metadata(storage, path, shape, kind, attributes)
+    array = RowArray(storage, path, kind, len(block), attributes)
+    raw = records.view(np.uint8).reshape(shape)
+    for chunk, start in enumerate(range(0, len(block), SPOOL_CHUNK)):
+        part = raw[start : start + SPOOL_CHUNK]
+        missing = SPOOL_CHUNK - len(part)
+        array.write(chunk, np.pad(part, ((0, missing), (0, 0))) if missing else part)
 
 
 def piece_index(storage: Storage, piece: str, has_rgb: bool) -> Index:
     """The index that the piece was written with."""
-    runs: Any = _open(storage, piece, has_rgb).attrs["index"]
+    runs: Any = _open(storage, piece, has_rgb).attributes["index"]
     return [(int(ix), int(iy), int(count)) for ix, iy, count in runs]
 
 
 def read_fragment(storage: Storage, piece: str, start: int, stop: int, has_rgb: bool) -> PointBlock:
     """Points ``start`` to ``stop - 1`` of a piece; reads only the chunks that hold them."""
     array = _open(storage, piece, has_rgb)
-    if not 0 <= start <= stop <= array.shape[0]:
-        raise StoreError(f"piece {piece}: has {array.shape[0]} points, not {start} to {stop}")
-    data: npt.NDArray[np.uint8] = np.ascontiguousarray(arrays.read(storage, array, slice(start, stop)))
-    records = data.reshape(-1).view(layout.record_type(has_rgb))
+    if not 0 <= start <= stop <= array.rows:
+        raise StoreError(f"piece {piece}: has {array.rows} points, not {start} to {stop}")
+    records = _rows(array, start, stop).reshape(-1).view(layout.record_type(has_rgb))
     return PointBlock(
         **{
             f.name: np.ascontiguousarray(records[f.name].T)
@@ -69,5 +74,16 @@ def read_fragment(storage: Storage, piece: str, start: int, stop: int, has_rgb: 
     )
 
 
-def _open(storage: Storage, piece: str, has_rgb: bool) -> arrays.ZarrArray:
-    return arrays.open_array(storage, layout.spool_path(piece), layout.spool_kind(has_rgb))
+def _open(storage: Storage, piece: str, has_rgb: bool) -> RowArray:
+    return open_rows(storage, layout.spool_path(piece), layout.spool_kind(has_rgb))
+
+
+def _rows(array: RowArray, start: int, stop: int) -> npt.NDArray[np.uint8]:
+    """Records ``start`` to ``stop - 1``, uint8 (n, size)."""
+    first = start // SPOOL_CHUNK
+    chunks = array.read(range(first, -(-stop // SPOOL_CHUNK)))
+    pieces = []
+    for number, chunk in enumerate(chunks, first):
+        at = number * SPOOL_CHUNK
+        pieces.append(chunk[max(start - at, 0) : stop - at])
+    return np.concatenate([np.empty((0, array.kind.chunks[1]), np.uint8), *pieces])

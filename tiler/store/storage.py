@@ -10,6 +10,7 @@ import asyncio
 import errno
 import json
 import os
+import uuid
 import zlib
 from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from contextlib import suppress
@@ -92,7 +93,9 @@ class Storage:
         return self.get_many([key])[0]
 
     def get_many(self, keys: Sequence[str]) -> list[bytes | None]:
-        """The bytes of each key in order, None where there is none; requests overlap."""
+        """The bytes of each key in order, None where there is none; requests to an object store overlap."""
+        if self.root is not None:
+            return [_file_bytes(f"{self.root}/{key}") for key in keys]
         prototype = default_buffer_prototype()
         gate = asyncio.Semaphore(_REQUESTS_AT_ONCE)
 
@@ -104,12 +107,15 @@ class Storage:
         async def every() -> list[bytes | None]:
             return await asyncio.gather(*map(one, keys))
 
-        return sync(every()) if self.exists() else [None] * len(keys)
+        return sync(every())
 
     def put(self, key: str, data: bytes) -> None:
         """Write an object, replacing what was there."""
         try:
-            sync(self.zarr_store.set(key, default_buffer_prototype().buffer.from_bytes(data)))
+            if self.root is not None:
+                _write_file(f"{self.root}/{key}", data)
+            else:
+                sync(self.zarr_store.set(key, default_buffer_prototype().buffer.from_bytes(data)))
         except OSError as error:
             raise failed_write(self.url, key, error) from error
 
@@ -249,6 +255,28 @@ def _sealed(body: Any) -> bytes:
 
 def _canonical(body: Any) -> str:
     return json.dumps(body, sort_keys=True, separators=(",", ":"))
+
+
+def _file_bytes(path: str) -> bytes | None:
+    try:
+        with open(path, "rb", buffering=0) as file:
+            return file.read()
+    except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+        return None
+
+
+def _write_file(path: str, data: bytes) -> None:
+    """A file that has its name only when it is whole; what is killed leaves scratch (`layout.is_scratch`)."""
+    partial = f"{path}.{uuid.uuid4().hex}.partial"
+    os.makedirs(os.path.dirname(path), exist_ok=True)
+    try:
+        with open(partial, "wb") as file:
+            file.write(data)
+        os.replace(partial, path)
+    except OSError:
+        with suppress(OSError):
+            os.unlink(partial)
+        raise
 
 
 async def _collected(items: AsyncIterator[str]) -> list[str]:

@@ -17,7 +17,7 @@ from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
 from tiler.core.water import Waters
 from tiler.errors import StoreError
-from tiler.store import arrays, commits, elected, index, layout, lock, points, rasters, spool
+from tiler.store import arrays, commits, elected, index, layout, lock, points, rasters, rows, spool
 from tiler.store.index import Bucket, BucketIndex, BucketInfo
 from tiler.store.meta import StoreMeta
 from tiler.store.storage import Storage, Usage
@@ -46,8 +46,8 @@ class TileStore:
         self._storage = storage
         self._points = points.PointColumns(storage, meta.has_rgb)
         self._index: BucketIndex | None = None
-        self._labels: dict[str, arrays.ZarrArray] = {}
-        self._elected: dict[str, arrays.ZarrArray] = {}
+        self._labels: dict[str, rows.RowArray] = {}
+        self._elected: dict[str, rows.RowArray] = {}
         self._rasters: dict[str, arrays.ZarrArray] = {}
         self._states: dict[str, Any] = {}
 
@@ -180,7 +180,7 @@ class TileStore:
             for name in self._storage.names(folder):
                 if name != "zarr.json":
                     path = f"{folder}/{name}"
-                    points.lengthen(self._storage, path, kind, (after.rows, *kind.chunks[1:]))
+                    rows.lengthen_rows(self._storage, path, kind, after.rows)
                     for bucket in moved:
                         points.delete_rows(self._storage, path, bucket)
         after.publish(self._storage)
@@ -255,9 +255,9 @@ class TileStore:
         keep = points.inside(bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell))
         return self._points.read(parts, columns, keep, None if labels is None else self._label_array(labels))
 
-    def _label_array(self, name: str) -> arrays.ZarrArray:
+    def _label_array(self, name: str) -> rows.RowArray:
         if name not in self._labels:
-            self._labels[name] = arrays.open_array(self._storage, layout.labels_path(name), layout.LABELS)
+            self._labels[name] = rows.open_rows(self._storage, layout.labels_path(name), layout.LABELS)
         return self._labels[name]
 
     def owner_of(self, row: int) -> Cell | None:
@@ -291,29 +291,31 @@ class TileStore:
 
     # --- labels
 
-    def write_labels(self, name: str, cell: Cell, labels: npt.NDArray[np.uint8]) -> None:
+    def write_labels(
+        self, name: str, cell: Cell, labels: npt.NDArray[np.uint8], candidates_only: bool = False
+    ) -> None:
         """Write the labels of a bucket, uint8 (n,) in its stored order; StoreError where n differs."""
         bucket = self._bucket(cell)
-        n = _count(bucket, False)
+        n = _count(bucket, candidates_only)
         if labels.shape != (n,) or labels.dtype != np.uint8:
             raise StoreError(
                 f"labels {name} of bucket {cell.name}: need {n} uint8, got {labels.shape} {labels.dtype}"
             )
-        points.write_rows(self._storage, self._made_labels(name), bucket, labels[np.newaxis])
+        points.write_rows(self._made_labels(name), bucket, labels[np.newaxis])
 
-    def _made_labels(self, name: str) -> arrays.ZarrArray:
+    def _made_labels(self, name: str) -> rows.RowArray:
         if name not in self._labels:
-            path, rows = layout.labels_path(name), self._current().rows
-            self._labels[name] = elected.make_array(self._storage, path, layout.LABELS, rows)
+            path = layout.labels_path(name)
+            self._labels[name] = rows.made_rows(self._storage, path, layout.LABELS, self._current().rows)
         return self._labels[name]
 
-    def read_labels(self, name: str, cell: Cell) -> npt.NDArray[np.uint8]:
+    def read_labels(self, name: str, cell: Cell, candidates_only: bool = False) -> npt.NDArray[np.uint8]:
         """The labels of a bucket, uint8 (n,); StoreError where they were not written."""
         bucket = self._bucket(cell)
-        parts = points.parts_of(bucket, _count(bucket, False))
+        parts = points.parts_of(bucket, _count(bucket, candidates_only))
         if not parts:
             return np.empty(0, dtype=np.uint8)
-        labels: npt.NDArray[np.uint8] = points.read_rows(self._storage, self._label_array(name), parts)[0]
+        labels: npt.NDArray[np.uint8] = points.read_rows(self._label_array(name), parts)[0]
         return labels
 
     # --- elected points
@@ -328,15 +330,15 @@ class TileStore:
         if not PointBlock(xyz).inside(self.meta.bucket.bounds(cell), self.meta.frame.origin).all():
             raise StoreError(f"bucket {cell.name}: an elected point lies outside the bucket")
         if name not in self._elected:
-            path, rows = layout.elected_path(name), self._current().rows
-            self._elected[name] = elected.make_array(self._storage, path, layout.ELECTED, rows)
-        elected.write(self._storage, self._elected[name], bucket, _count(bucket, False), xyz)
+            path, n_rows = layout.elected_path(name), self._current().rows
+            self._elected[name] = rows.made_rows(self._storage, path, layout.ELECTED, n_rows)
+        elected.write(self._elected[name], bucket, _count(bucket, False), xyz)
 
     def write_elected_labels(self, name: str, cell: Cell, labels: npt.NDArray[np.uint8]) -> None:
         """Write the labels of the elected points of a bucket, uint8 (m,) in their stored order."""
         bucket = self._bucket(cell)
         n, array = _count(bucket, False), self._made_labels(name)
-        elected.write(self._storage, array, bucket, n, labels[np.newaxis])
+        elected.write(array, bucket, n, labels[np.newaxis])
 
     def elected(self, name: str, bounds: Bounds, labels: str | None = None) -> PointBlock:
         """The points of ``bounds`` that a pass elected, with their labels of that name if one is given.
@@ -345,14 +347,14 @@ class TileStore:
         """
         if name not in self._elected:
             path = layout.elected_path(name)
-            self._elected[name] = arrays.open_array(self._storage, path, layout.ELECTED)
+            self._elected[name] = rows.open_rows(self._storage, path, layout.ELECTED)
         parts = [
             part
             for bucket in self._current().overlapping(self.meta.bucket, bounds)
             for part in elected.places(bucket, _count(bucket, False))
         ]
         given = None if labels is None else self._label_array(labels)
-        return elected.read(self._storage, self._elected[name], given, parts, bounds, self.meta.frame.origin)
+        return elected.read(self._elected[name], given, parts, bounds, self.meta.frame.origin)
 
     # --- rasters
 

@@ -155,9 +155,9 @@ def test_a_full_disk_is_a_processing_error_with_its_remedy(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Path, "replace", full)
+    monkeypatch.setattr(os, "replace", full)
     cell = next(iter(filled.buckets()))
     with pytest.raises(DiskFullError, match="No space left on device.: the disk is full; free some"):
         filled.put_state("plan", 1)
-    with pytest.raises(DiskFullError, match="points/xyz: cannot be written .No space left"):
+    with pytest.raises(DiskFullError, match="points/xyz/c/0/0/0: cannot be written .No space left"):
         filled.write_bucket(cell, filled.read_bucket(cell, FIELDS), 0)
