@@ -12,6 +12,7 @@ import rasterio
 import shapely
 from pyproj import Transformer
 
+from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings
 from tests.invariants.test_drawn import EAST, NORTH, digests, draw, ground, pixels, written
 from tiler.core.products import WATER
@@ -87,6 +88,31 @@ def test_another_level_changes_the_water_alone_and_no_other_stage(folder: Path, 
     before = digests(folder / "plain")
     do(cloud, out, method="keep", resolution="0.5")
     assert digests(out)["dtm.tif"] == before["dtm.tif"]
+
+
+def basin(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Uneven land that rises from the shore of `LAKE`."""
+    return 30 + 0.2 * np.clip(np.hypot(x - 18, y - 20) - 9, 0, 12) + 0.1 * np.sin(x / 3)
+
+
+def test_a_lake_without_returns_is_found_and_contours_go_around_it(tmp_path: Path) -> None:
+    cloud = ground(basin)
+    dry = ~shapely.contains_xy(LAKE, *cloud.xyz[:, :2].T)
+    dry |= np.random.default_rng(4).random(len(dry)) < 0.02
+    path = written(tmp_path / "basin.laz", clouds.Cloud(cloud.xyz[dry], cloud.truth[dry]))
+    do(
+        path, tmp_path / "out", method="keep", water="auto", water_min_lake="150", products="dtm,contours",
+        contour_interval="0.25",
+    )  # fmt: skip
+    heights = pixels(tmp_path / "out")
+    y, x = np.mgrid[0:60, 0:60] + 0.5
+    inner = shapely.contains_xy(LAKE.buffer(-2.5), x, y)
+    assert len(set(heights[inner].tolist())) == 1
+    assert abs(heights[inner][0] - 30) < 0.3
+    lines = pyogrio.raw.read(tmp_path / "out" / "contours.gpkg")[2]
+    pond = shapely.from_wkb(pyogrio.raw.read(tmp_path / "out" / "water.gpkg", layer="water")[2])
+    assert len(lines) > 5
+    assert not shapely.intersects(shapely.from_wkb(lines), shapely.buffer(pond[0], -2)).any()
 
 
 @pytest.mark.parametrize(

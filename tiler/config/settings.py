@@ -108,7 +108,7 @@ class RunConfig:
         kind="length",
     )
     water_min_island: Fraction = setting(
-        Fraction(4000),
+        Fraction(1000),
         "`--water auto` leaves out islands below this area, which become water",
         unit="m2",
         kind="area",

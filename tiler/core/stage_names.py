@@ -14,6 +14,7 @@ _TITLES = {
     "deck-cells": "look for bridges",
     "decks": "look at what may be a bridge",
     "edits": "look at the corrections",
+    "water-search": "find water",
     "water": "find how high water stands",
     "verify": "look whether results changed",
     "export": "write the files",

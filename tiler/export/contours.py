@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
@@ -39,6 +40,7 @@ class _Terrain:
     raster: str
     spec: RasterSpec
     area: Area | None
+    waters: str | None = None
 
     def heights(self, block: Block) -> Floats:
         """Units of the CRS; NaN where there is none, or outside of the area."""
@@ -52,6 +54,23 @@ class _Terrain:
         bottom = min(block.row + block.height + reach, self.spec.height)
         right = min(block.col + block.width + reach, self.spec.width)
         return self.heights(Block(top, left, bottom - top, right - left)), block.row - top, block.col - left
+
+    def land_smoothed(self, block: Block, sigma: float) -> Floats:
+        """Heights of a block, those of land averaged among themselves; NaN in water but for its outermost pixels.
+
+        So lines run around water, and end at the shore of a river that falls through their level.
+        """
+        reach = max(smoothing_reach(sigma), 1)
+        heights, top, left = self.around(block, reach)
+        wide = Block(block.row - top, block.col - left, *heights.shape)
+        waters = self.store.waters(self.waters, self.spec.block_bounds(wide))
+        if waters is None:
+            found = smoothed(heights, sigma)
+        else:
+            wet = waters.inside(self.spec, wide)
+            found = np.where(wet, heights, smoothed(np.where(wet, np.nan, heights), sigma))
+            found[ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))] = np.nan
+        return found[top : top + block.height, left : left + block.width]
 
     def relief(self) -> tuple[float, float]:
         """Lowest and highest height; NaN where there is none."""
@@ -122,13 +141,12 @@ def _lines(
     terrain: _Terrain, interval: Fraction, sigma: float, joiner: Joiner
 ) -> Iterator[tuple[int, Floats]]:
     """Whole lines: level, and places in pixels."""
-    spec, reach = terrain.spec, smoothing_reach(sigma)
+    spec = terrain.spec
     for row in range(0, spec.height, BLOCK):
         for col in range(0, spec.width, BLOCK):
             # With the first row and column of the blocks beside it, as lines run between pixel centres.
             block = Block(row, col, min(BLOCK + 1, spec.height - row), min(BLOCK + 1, spec.width - col))
-            heights, top, left = terrain.around(block, reach)
-            core = smoothed(heights, sigma)[top : top + block.height, left : left + block.width]
+            core = terrain.land_smoothed(block, sigma)
             for piece in contour_block(core, interval, row, col):
                 yield from joiner.add(piece)
         yield from joiner.end_row(row + BLOCK)
@@ -189,7 +207,7 @@ def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
 
 def _terrain(store_url: str, work: DrawnFile) -> _Terrain:
     store = open_store(store_url)
-    return _Terrain(store, work.raster, work.spec, store.area(work.area))
+    return _Terrain(store, work.raster, work.spec, store.area(work.area), work.waters)
 
 
 def _written(terrain: _Terrain, out: str, name: str, fill: Callable[[GeoPackage], None]) -> dict[str, Any]:

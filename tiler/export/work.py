@@ -171,8 +171,8 @@ class DrawnFile:
         Folder that exists, or a URL.
     interval : Fraction or None
         Of contours, in vertical units of the CRS; None: by the relief.
-    area : str or None
-        Key in the store of the area that is wanted.
+    area, waters : str or None
+        Keys in the store of the area that is wanted, and of bodies of water.
     """
 
     raster: str
@@ -180,6 +180,7 @@ class DrawnFile:
     out: str
     interval: Fraction | None
     area: str | None
+    waters: str | None
 
 
 @dataclass(frozen=True, kw_only=True)

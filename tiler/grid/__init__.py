@@ -13,6 +13,7 @@ from tiler.grid.outline import outline_block
 from tiler.grid.surface import DEEP_M, reach_pixels, surface_block
 from tiler.grid.survey import blocks_of, occupancy_block, survey_raster
 from tiler.grid.voids import fill_block, find_voids
+from tiler.grid.water_find import find_bodies
 from tiler.grid.water_level import level_water
 from tiler.grid.work import (
     BlankBlocks,
@@ -21,6 +22,7 @@ from tiler.grid.work import (
     ExamineDeck,
     FillBlock,
     FindDeckCells,
+    FindWater,
     GridBlock,
     LevelWater,
     MakeSurvey,
@@ -42,6 +44,7 @@ __all__ = [
     "ExamineDeck",
     "FillBlock",
     "FindDeckCells",
+    "FindWater",
     "GridBlock",
     "GroundRule",
     "LevelWater",
@@ -61,6 +64,7 @@ __all__ = [
     "examine_deck",
     "examined",
     "fill_block",
+    "find_bodies",
     "find_deck_cells",
     "find_voids",
     "full_halo",

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from tiler.core.classes import WATER
 from tiler.core.lattice import Bounds
 from tiler.core.products import BEYOND, BORDER, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
@@ -29,7 +30,9 @@ Runs = list[list[int]]
 
 
 def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
-    """Write one block of the raster of occupied cells, 1 or 0; a `tiler.schedule.task.Work`.
+    """Write one block of the raster of occupied cells; a `tiler.schedule.task.Work`.
+
+    A cell has the number of its points; below 0 where more than half of them are water by the input.
 
     Parameters
     ----------
@@ -43,14 +46,19 @@ def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     rule, bounds = work.rule, spec.block_bounds(block)
-    occupied = np.zeros(block.height * block.width, np.float32)
+    counts, water = np.zeros((2, block.height * block.width), np.int64)
     for cell in store.buckets_within(bounds):
         points, chosen = surface_points(store, rule, cell)
         chosen &= points.inside(bounds, store.meta.frame.origin)
-        occupied[pixel_indices(points.xyz[:, chosen], store.meta.frame.origin, spec, block)] = 1
-    values = occupied.reshape(block.height, block.width)
+        places = pixel_indices(points.xyz[:, chosen], store.meta.frame.origin, spec, block)
+        counts += np.bincount(places, minlength=len(counts))
+        if points.classification is not None:
+            water += np.bincount(places[points.classification[chosen] == WATER], minlength=len(counts))
+    values = (
+        np.where(2 * water > counts, -counts, counts).astype(np.float32).reshape(block.height, block.width)
+    )
     store.write_block(work.name, block, values)
-    return {"occupied": int(values.sum()), "checksum": checksum(values)}
+    return {"occupied": int(np.count_nonzero(values)), "checksum": checksum(values)}
 
 
 def survey_raster(store_url: str, work: MakeSurvey) -> dict[str, Any]:
@@ -68,7 +76,7 @@ def survey_raster(store_url: str, work: MakeSurvey) -> dict[str, Any]:
         its inside; ``checksum``.
     """
     store, spec = open_store(store_url), work.spec
-    occupied = store.read_block(work.occupancy, Block(0, 0, spec.height, spec.width)) > 0
+    occupied = store.read_block(work.occupancy, Block(0, 0, spec.height, spec.width)) != 0
     gap = gap_of(occupied, work.gap, work.most_gap)
     found = survey_of(occupied, gap).astype(np.float32)
     for b in spec.blocks(BLOCK_PIXELS):

@@ -204,6 +204,41 @@ class OutlineBlock(BlockWork):
 
 
 @dataclass(frozen=True)
+class FindWater:
+    """The water of a run, found at once.
+
+    Attributes
+    ----------
+    heights : str
+        The terrain.
+    spec : RasterSpec
+        Of its pixels.
+    blocks : tuple of str
+        Names of its blocks.
+    occupancy : str
+    coarse : RasterSpec
+        Of the coarse cells.
+    gap : float
+        Cells: a gap between points up to this width may be water.
+    trusted : bool
+        Few returns tell of water; False: only the input's class does.
+    lake_m2, river_width_m, island_m2 : float
+        The smallest that are wanted.
+    """
+
+    heights: str
+    spec: RasterSpec
+    blocks: tuple[str, ...]
+    occupancy: str
+    coarse: RasterSpec
+    gap: float
+    trusted: bool
+    lake_m2: float
+    river_width_m: float
+    island_m2: float
+
+
+@dataclass(frozen=True)
 class LevelWater:
     """A body of water whose height is to be found.
 

@@ -1,4 +1,4 @@
-"""The part of the report on what people drew: what each correction changed, and what lines the terrain follows."""
+"""The part of the report on what people drew, or what was found: corrections, lines, water and its levels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tiler.report.sections import MOST_ROWS, Run, counted
 
 def drawn(run: Run) -> list[Node]:
     """One section where there is anything to tell, else none."""
-    lines, edits, contours = (run.get(name) for name in ("breaklines", "edits", "contours"))
+    lines, edits, water, contours = (run.get(name) for name in ("breaklines", "edits", "water", "contours"))
     content: list[Content] = []
     if edits:
         rows = [
@@ -25,6 +25,13 @@ def drawn(run: Run) -> list[Node]:
     if lines:
         text = f"The terrain follows {counted(lines['lines'], 'line')}, by {lines['vertices']:,} vertices."
         content += [el("h3", "Breaklines"), el("p", text)]
+    if water:
+        bodies = [
+            (str(b["number"]), b["kind"], _levels(b), f"{b['area_m2']:,.0f}", _sure(b))
+            for b in water[:MOST_ROWS]
+        ]
+        columns = ("number", "kind", "level, in the unit of the heights", "area, m2", "how sure")
+        content += [el("h3", f"Water: {len(water):,}"), table(columns, bodies, (0, 3))]
     if contours:
         text = f"{counted(contours['lines'], 'line')} of {contours['vertices']:,} vertices, every "
         text += f"{contours['interval']:g} in the unit of the heights."
@@ -42,9 +49,20 @@ def shapes(run: Run) -> list[dict[str, Any]]:
             [ring for e in run.get("edits", ()) for ring in e.get("rings", ())],
         ),
         ("breaklines", "breaklines", "#0b7a75", (run.get("breaklines") or {}).get("drawn", [])),
+        ("water", "water", "#2f6fc4", [ring for b in run.get("water", ()) for ring in b.get("rings", ())]),
     ]
     names = ("name", "title", "colour", "lines")
     return [dict(zip(names, layer, strict=True)) for layer in layers if layer[3]]
+
+
+def _levels(body: Mapping[str, Any]) -> str:
+    """The level of a lake, or the upper and lower one of a river."""
+    high, low = body["level"], body["level_end"]
+    return f"{high:.2f}" if high == low else f"{high:.2f} to {low:.2f}"
+
+
+def _sure(body: Mapping[str, Any]) -> str:
+    return "drawn" if body["sure"] is None else f"{body['sure']:.0%}"
 
 
 def _changed(edit: Mapping[str, Any]) -> str:

@@ -45,6 +45,7 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
         "spec": g.spec,
         "out": out,
         "area": area_key(plan),
+        "waters": g.waters.key if g.waters.bodies else None,
         "interval": None if interval is None else interval / plan.meta.frame.units.vertical,
     }
     smooth = config.contour_smooth

@@ -5,39 +5,82 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from tiler.config import AUTO_WATER
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.water import Water, Waters
-from tiler.grid import LevelWater, level_water
+from tiler.core.water import LAKE, Water, Waters, lengths_along
+from tiler.grid import FindWater, LevelWater, find_bodies, level_water
+from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
 from tiler.stages.corrections import MOST_PLACES
 from tiler.stages.gridding import Gridding
+from tiler.stages.raster_tasks import WHOLE, checksums
 from tiler.store import Commits
 from tiler.version import __version__
 
-STAGE = "water"
+FINDING, STAGE = "water-search", "water"
+MATCHED = "dim"
+"""Kind of matched clouds: they have holes anywhere, and noise on water."""
+STEEPEST = 1 / 30
+"""Fall of a river over its length, at most."""
 SHORE_REACH = 4
 """Pixels around a body of water that its level may depend on."""
 
 
 def find_waters(job: Job, g: Gridding) -> Waters:
     """The bodies of water with their levels, kept in the store for the tasks."""
-    bodies = g.plan.waters
+    auto = g.plan.config.water == AUTO_WATER
+    bodies = _found(job, g) if auto else g.plan.waters
     made = run_stage(job, STAGE, level_tasks(g, bodies))
-    found = []
+    levelled = []
     for body in bodies:
         record = made.get(_key(body), (None, {}))[1]
-        levelled = body if body.levelled else record.get("body") and Water.from_json(record["body"])
-        if levelled:
-            found.append(levelled)
-    if len(found) < len(bodies):
-        names = ", ".join(str(b.number) for b in bodies if b.number not in {f.number for f in found})
+        if body.levelled:
+            levelled.append(body)
+        elif record.get("body"):
+            levelled.append(Water.from_json(record["body"]))
+    left = {b.number for b in bodies} - {b.number for b in levelled}
+    if left and not auto:
+        names = ", ".join(map(str, sorted(left)))
         job.note(f"--water: no terrain along the shore of body {names}: it is left out; give it a `level`")
-    waters = Waters(tuple(found))
+    waters = Waters(tuple(b for b in levelled if not auto or _gentle(g, b)))
+    if auto and waters.bodies:
+        lakes = sum(b.kind == LAKE for b in waters.bodies)
+        job.note(
+            f"decided: water found, {lakes} lakes and {len(waters.bodies) - lakes} rivers or canals, level in the "
+            f"terrain ({WATER} can be edited and given back by --water; --water none leaves the terrain as it is)"
+        )
     job.store.put_waters(waters)
     return waters
+
+
+def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
+    """The bodies that the data show, without levels."""
+    config, frame = g.plan.config, g.plan.meta.frame
+    survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
+    work = FindWater(
+        "dtm", g.spec, tuple(sorted(g.made["dtm"])), "occupancy", g.coarse,
+        gap=float(config.max_edge / g.coarse_m), trusted=survey.get("kind", config.source_kind) != MATCHED,
+        lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
+        island_m2=float(config.water_min_island),
+    )  # fmt: skip
+    seen = [checksums(g.made[name]) for name in ("dtm", "occupancy")]
+    digest = digest_of(__version__, work, seen, str(frame.units.vertical))
+    task = Task(FINDING, WHOLE, digest, find_bodies, work, g.coarse.height * g.coarse.width)
+    made = run_stage(job, FINDING, [task])
+    return tuple(Water.from_json(body) for body in made[WHOLE][1]["bodies"]) if made else ()
+
+
+def _gentle(g: Gridding, body: Water) -> bool:
+    """Whether a river falls no more than rivers of that width do: a ravine without returns is none."""
+    high, low = body.range
+    if body.flow is None or high == low:
+        return True
+    units = g.plan.meta.frame.units
+    length = lengths_along(body.flow)[-1] / COUNTS_PER_UNIT * float(units.horizontal)
+    return bool((high - low) * float(units.vertical) <= STEEPEST * length)
 
 
 def level_tasks(g: Gridding, bodies: tuple[Water, ...]) -> Iterator[Task]:
