@@ -1,4 +1,8 @@
-"""Find roofs that are left in a terrain model, by the rule that takes roofs out of a cloud (`ptd.ground.plateaus`)."""
+"""Find roofs that are left in a terrain model, by the rule that takes roofs out of a cloud (`ptd.ground.plateaus`).
+
+Between a roof and the ground beside it the model is interpolated: a ramp, which would join both. So where it is steep
+nothing counts as ground, as there is none in the cloud.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ class LeftRoof(NamedTuple):
     Attributes
     ----------
     width_m : float
-        Diameter of the largest circle inside.
+        Diameter of the largest circle inside, with its edge.
     row, column : float
         Its middle, cells.
     """
@@ -49,24 +53,34 @@ def left_roofs(heights: Float64, cell_m: float = ROOF_CELL_M, least_m: float = 0
     known = ~np.isnan(heights)
     if not known.any():
         return []
-    counts = np.full(heights.shape, EMPTY, np.int32)
+    counts, rises = np.full(heights.shape, EMPTY, np.int32), _rises(heights, known)
     counts[known] = np.rint(1000 * heights[known])
     found = np.zeros(heights.shape, np.bool_)
     for step_m in ROOF_STEPS_M:
         rule = Plateaus.of(MILLIMETRES, WIDEST_M, step_m, cell_m)
-        found |= plateaus(np.where(found, EMPTY, counts).astype(np.int32), rule, found, known)
+        ground = np.where(found | (rises > step_m), EMPTY, counts).astype(np.int32)
+        found |= plateaus(ground, rule, found, known)
     numbers, _ = ndimage.label(found, np.ones((3, 3)))
     boxes = ndimage.find_objects(numbers)
     roofs = (_measured(numbers[box] == number, box, cell_m) for number, box in enumerate(boxes, start=1))
     return [roof for roof in roofs if roof.width_m >= least_m]
 
 
+def _rises(heights: Float64, known: Bool) -> Float64:
+    """The largest difference of each known height to those beside it."""
+    highest = ndimage.maximum_filter(np.where(known, heights, -np.inf), 3)
+    lowest = ndimage.minimum_filter(np.where(known, heights, np.inf), 3)
+    rises: Float64 = np.maximum(highest - heights, heights - lowest)
+    return rises
+
+
 def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> LeftRoof:
+    """A roof from its cells, around which a row of its edge was too steep to be found."""
     depth = ndimage.distance_transform_edt(np.pad(piece, 1))
     row, column = ((side.start + side.stop) / 2 for side in box)
-    return LeftRoof(2 * float(depth.max()) * cell_m, row, column)
+    return LeftRoof(2 * (float(depth.max()) + 1) * cell_m, row, column)
 
 
 def reach_m(cell_m: float = ROOF_CELL_M) -> float:
     """Metres beyond which nothing has a part in whether a cell is on a roof."""
-    return Plateaus.of(MILLIMETRES, WIDEST_M, cell_m=cell_m).reach * cell_m
+    return (Plateaus.of(MILLIMETRES, WIDEST_M, cell_m=cell_m).reach + 1) * cell_m

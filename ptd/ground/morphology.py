@@ -153,33 +153,15 @@ def _framed(heights: Int32) -> tuple[Int32, Bool, Bool]:
 
 
 def _open(heights: Int32, radius: float, filled: Bool, centres: Bool) -> Int32:
+    """Opening: each filled cell takes the highest of the minima of the disks that hold it.
+
+    So whatever is higher than its surroundings and narrower than a disk is cut.
+    """
     lowest = disk_minimum(heights, radius)
     _flip(lowest, centres)
     opened = disk_minimum(lowest, radius)
     _flip(opened, filled)
     return opened
-
-
-def open_with_disk(heights: Int32, radius: float) -> Int32:
-    """Opening: each filled cell takes the highest of the minima of the disks that hold it.
-
-    So whatever is higher than its surroundings and narrower than a disk is cut. Disks are centred up to `OVERHANG`
-    cells from filled ones.
-
-    Parameters
-    ----------
-    heights : int32 [rows, columns]
-        Counts, above -2**31; `EMPTY` where there is none.
-    radius : float
-        Cells, not negative.
-
-    Returns
-    -------
-    int32 [rows, columns]
-        Not above `heights`; `EMPTY` in the same cells.
-    """
-    framed, filled, centres = _framed(heights)
-    return _open(framed, radius, filled, centres)[_INNER]
 
 
 @kernel

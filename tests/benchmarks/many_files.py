@@ -109,8 +109,9 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
     from tiler.plan import make_plan
     from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks
     from tiler.stages.gridding import Gridding
+    from tiler.stages.ingest_tasks import Source
     from tiler.stages.raster_table import wanted
-    from tiler.stages.tasks import Assembled, Source, filter_tasks, label_digests
+    from tiler.stages.tasks import Assembled, filter_tasks, label_digests
     from tiler.store import BucketInfo, create_store
 
     facts: dict[str, Any] = {"buckets": number}

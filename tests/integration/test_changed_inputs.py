@@ -19,7 +19,7 @@ from tiler.errors import InputError
 from tiler.export import write_classified
 from tiler.ingest import spool_piece
 from tiler.io.las.reader import PointReader
-from tiler.stages import fingerprints, tasks
+from tiler.stages import file_tasks, fingerprints, ingest_tasks
 
 CHANGED = "was replaced or written to while the run went on"
 Work = Callable[[str, dict[str, Any]], dict[str, Any]]
@@ -65,7 +65,7 @@ def test_replaced_before_it_is_decoded(
 ) -> None:
     good, path, other = files
     work = before_the_first(spool_piece, lambda: how(path, other))
-    monkeypatch.setattr(tasks, "spool_piece", work)
+    monkeypatch.setattr(ingest_tasks, "spool_piece", work)
     result = do([good, path], tmp_path / "out")
     assert result.exit_code == 5
     (left_out,) = result.summary["quarantined"]
@@ -86,7 +86,7 @@ def test_replaced_before_its_classes_are_written(
 ) -> None:
     good, path, other = files
     work = before_the_first(write_classified, lambda: in_place(path, other))
-    monkeypatch.setattr(tasks, "write_classified", work)
+    monkeypatch.setattr(file_tasks, "write_classified", work)
     result = do([good, path], tmp_path / "out")
     assert result.exit_code == 5
     (failed,) = result.summary["failed_tasks"]
@@ -118,7 +118,8 @@ def test_replaced_while_it_is_read(
 ) -> None:
     good, path, other = files
     work = {"spool_piece": spool_piece, "write_classified": write_classified}[name]
-    monkeypatch.setattr(tasks, name, while_it_is_read(work, path, other, monkeypatch))
+    stage = {"spool_piece": ingest_tasks, "write_classified": file_tasks}[name]
+    monkeypatch.setattr(stage, name, while_it_is_read(work, path, other, monkeypatch))
     result = do([good, path], tmp_path / "out")
     assert result.exit_code == 5
     told = [*result.summary["quarantined"], *result.summary["failed_tasks"]]
@@ -140,7 +141,7 @@ def test_replaced_while_its_digest_is_made(
 def test_the_only_input_went_away(
     files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tasks, "spool_piece", before_the_first(spool_piece, files[1].unlink))
+    monkeypatch.setattr(ingest_tasks, "spool_piece", before_the_first(spool_piece, files[1].unlink))
     with pytest.raises(
         InputError, match=r"east\.las: left out: went away while the run went on \(No such file"
     ):
@@ -155,7 +156,9 @@ def test_a_piece_that_is_decoded_again_is_of_the_same_file(
     out = tmp_path / "out"
     do([good, path], out)
     shutil.rmtree(out / "store.zarr" / "spool")
-    monkeypatch.setattr(tasks, "spool_piece", before_the_first(spool_piece, lambda: by_name(path, other)))
+    monkeypatch.setattr(
+        ingest_tasks, "spool_piece", before_the_first(spool_piece, lambda: by_name(path, other))
+    )
     result = do([good, path], out, keep_classes="7")
     assert result.exit_code == 5
     assert [q["path"] for q in result.summary["quarantined"]] == [str(path)]
@@ -169,7 +172,7 @@ def test_an_empty_file_and_one_that_went_away(
     empty = clouds.write(tmp_path / "in" / "empty.las", clouds.city(96.0).take(np.zeros(0, np.intp)))
     for name, module, work in (
         ("read_files", fingerprints, fingerprints.read_files),
-        ("spool_piece", tasks, spool_piece),
+        ("spool_piece", ingest_tasks, spool_piece),
     ):
         aside = tmp_path / "aside.las"
         with monkeypatch.context() as patch:

@@ -117,7 +117,7 @@ def test_buckets_that_fail_leave_a_hole_that_is_told(
     groups = the_store(tmp_path / "peace").committed("assemble")
     key = max(groups, key=lambda k: sum(b["n"] for b in groups[k][1]["buckets"]))
     ix, iy = groups[key][1]["buckets"][0]["cell"]
-    monkeypatch.setattr("tiler.stages.tasks.assemble_buckets", deadly.failing_group)
+    monkeypatch.setattr("tiler.stages.ingest_tasks.assemble_buckets", deadly.failing_group)
     monkeypatch.setenv(deadly.CELL, f"{ix},{iy}")
     result = do(cloud, out, **settings)
     assert result.exit_code == 5

@@ -14,7 +14,8 @@ from tests.invariants.forked import ended, forked
 from tests.invariants.runs import do, settings
 from tests.scenes.folders import content
 from tiler.errors import ConfigError, ProcessingError
-from tiler.io.locations import cloud_path, is_scratch, partial_path
+from tiler.io.locations import cloud_path
+from tiler.io.partial_files import is_scratch, partial_path
 from tiler.pipeline import run
 
 NAMES = ("dtm.tif", "run.json", "events.jsonl", "report.html", "classified/hill.laz")

@@ -21,7 +21,7 @@ from tiler.errors import ConfigError, InputError
 from tiler.ingest import SpoolPiece, inspect, spool_piece
 from tiler.io.locations import cloud_path, list_clouds, location, state_of
 from tiler.pipeline import RunResult, run
-from tiler.stages import tasks
+from tiler.stages import ingest_tasks
 
 SUFFIXES = (".las", ".laz")
 
@@ -112,7 +112,7 @@ def test_an_object_that_is_replaced_is_left_out(
         os.replace(back, path)
         return spool_piece(store_url, work)
 
-    monkeypatch.setattr(tasks, "spool_piece", changed)
+    monkeypatch.setattr(ingest_tasks, "spool_piece", changed)
     with pytest.raises(InputError, match="c.las: left out: was replaced or written to while the run went on"):
         do([f"{servers['http']}/b/c.las"], tmp_path / "out")
 

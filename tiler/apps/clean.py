@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError
-from tiler.io.locations import is_scratch
+from tiler.io.partial_files import is_scratch
 from tiler.io.result_folder import STORE, earlier_outputs, read_run
 from tiler.store import locked_folder, open_store
 

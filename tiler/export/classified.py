@@ -23,13 +23,15 @@ from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.work import WriteClassified
+from tiler.io.cloud_reading import digest_of_file, open_cloud
 from tiler.io.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
 from tiler.io.las.records import VariableRecord
 from tiler.io.las.unchanged import refuse_changed, unchanged
 from tiler.io.las.writer import PointWriter, laszip_vlr
-from tiler.io.locations import cloud_path, digest_of_file, folder_for, open_cloud, partial_path, state_of
+from tiler.io.locations import cloud_path, folder_for, state_of
+from tiler.io.partial_files import partial_path
 from tiler.store import TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27

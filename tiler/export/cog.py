@@ -26,7 +26,9 @@ from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.geotiff import CACHE_MB, RasterLook, plain_geotiff, raster_errors
 from tiler.export.work import ProductFile, WriteCog
-from tiler.io.locations import cloud_path, digest_of_file, folder_for, joined, partial_path, state_of
+from tiler.io.cloud_reading import digest_of_file
+from tiler.io.locations import cloud_path, folder_for, joined, state_of
+from tiler.io.partial_files import partial_path
 from tiler.store import TileStore, open_store
 
 

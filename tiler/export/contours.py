@@ -18,7 +18,8 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.export.contour_lines import Joiner, contour_block, default_interval, smoothed, smoothing_reach
 from tiler.export.spots import HIGH, LOW, spots_of_block
 from tiler.export.work import DrawnFile, WriteContours, WriteSpots
-from tiler.io.locations import cloud_path, digest_of_file, folder_for, joined, state_of
+from tiler.io.cloud_reading import digest_of_file
+from tiler.io.locations import cloud_path, folder_for, joined, state_of
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore, open_store
 

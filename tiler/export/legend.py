@@ -10,7 +10,9 @@ from tiler.core.products import PRODUCTS
 from tiler.export.geotiff import raster_errors
 from tiler.export.mosaic import category_names
 from tiler.export.work import WriteLegend
-from tiler.io.locations import appearing, cloud_path, digest_of_file, folder_for, joined, state_of
+from tiler.io.cloud_reading import digest_of_file
+from tiler.io.locations import cloud_path, folder_for, joined, state_of
+from tiler.io.partial_files import appearing
 
 
 def write_legend(store_url: str, work: WriteLegend) -> dict[str, Any]:

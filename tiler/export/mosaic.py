@@ -19,7 +19,9 @@ from tiler.errors import ProcessingError
 from tiler.export.cog import raster_look
 from tiler.export.geotiff import RasterLook, raster_errors
 from tiler.export.work import WriteMosaic
-from tiler.io.locations import appearing, cloud_path, digest_of_file, folder_for, joined, state_of
+from tiler.io.cloud_reading import digest_of_file
+from tiler.io.locations import cloud_path, folder_for, joined, state_of
+from tiler.io.partial_files import appearing
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}

@@ -12,7 +12,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from tiler.export.geotiff import raster_errors
-from tiler.io.locations import appearing
+from tiler.io.partial_files import appearing
 
 
 def png_bytes(rgba: npt.NDArray[np.uint8]) -> bytes:

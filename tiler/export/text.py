@@ -7,7 +7,9 @@ from typing import Any
 
 from tiler.errors import refused_write
 from tiler.export.work import WriteText
-from tiler.io.locations import appearing, cloud_path, digest_of_file, folder_for, joined, state_of
+from tiler.io.cloud_reading import digest_of_file
+from tiler.io.locations import cloud_path, folder_for, joined, state_of
+from tiler.io.partial_files import appearing
 
 
 def write_text(store_url: str, work: WriteText) -> dict[str, Any]:

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.water import Water
 from tiler.export.work import WriteWater
-from tiler.io.locations import cloud_path, digest_of_file, folder_for, joined, state_of
+from tiler.io.cloud_reading import digest_of_file
+from tiler.io.locations import cloud_path, folder_for, joined, state_of
 from tiler.io.vector import geopackage
 from tiler.store import open_store
 

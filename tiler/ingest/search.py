@@ -9,7 +9,8 @@ from pathlib import Path
 
 from tiler.errors import ConfigError, InputError
 from tiler.ingest.virtual_cloud import is_virtual, members
-from tiler.io.locations import SCRATCH_PREFIX, cloud_path, is_url, list_clouds
+from tiler.io.locations import cloud_path, is_url, list_clouds
+from tiler.io.partial_files import SCRATCH_PREFIX
 from tiler.io.result_folder import ASIDE, CLASSIFIED, is_results
 
 SUFFIXES = (".las", ".laz")

@@ -7,8 +7,9 @@ from typing import Any, NoReturn
 from urllib.parse import unquote, urljoin, urlsplit
 
 from tiler.errors import InputError
+from tiler.io.cloud_reading import open_cloud
 from tiler.io.json_text import excerpt, member, read_object
-from tiler.io.locations import cloud_path, is_url, open_cloud
+from tiler.io.locations import cloud_path, is_url
 
 SUFFIX = ".vpc"
 MOST_BYTES = 1 << 28

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,17 +10,14 @@ from dataclasses import dataclass
 from glob import has_magic
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, cast
+from typing import Any, cast
 from urllib.parse import unquote, urlsplit
 
 from tiler.errors import ConfigError, refused_write
+from tiler.io.partial_files import SCRATCH_PREFIX
 
-BLOCK_BYTES = 1 << 22
-"""Bytes of an object asked for at once: some chunks of points."""
 ASKED_AT_ONCE = 16
 """Objects whose size is asked for at the same time."""
-KEPT_BLOCKS = 8
-"""Blocks of an object that are kept while it is read: those of its header, its table and its points."""
 
 
 def is_url(text: str | Path) -> bool:
@@ -87,49 +82,6 @@ def refuse_unescaped(url: str) -> None:
         ) from None
 
 
-LONGEST_NAME = 255
-"""Bytes of the name of a file, on most file systems."""
-
-
-SCRATCH_PREFIX = ".tiler-"
-"""How the names of files and folders begin that are tiler's own and nobody else's."""
-
-
-def partial_path(target: Path, kind: str = "") -> Path:
-    """Where a file is written until it is whole: a name of tiler's own beside it, that no file of the user has.
-
-    Parameters
-    ----------
-    target : Path
-        The file's final name.
-    kind : str
-        Tells several such files of one target apart.
-    """
-    name = f"{SCRATCH_PREFIX}{target.name}{kind and f'.{kind}'}.partial"
-    if len(os.fsencode(name)) > LONGEST_NAME:
-        short = hashlib.blake2b(os.fsencode(name), digest_size=16).hexdigest()
-        name = f"{SCRATCH_PREFIX}{short}.partial"
-    return target.with_name(name)
-
-
-@contextmanager
-def appearing(target: Path) -> Iterator[Path]:
-    """Where to write a file that gets its name, and replaces what has it, only when the block ends well."""
-    partial = partial_path(target)
-    try:
-        yield partial
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def is_scratch(name: str) -> bool:
-    """Whether a name is one that `partial_path` makes, or that GDAL and SQLite make of it while they write."""
-    return name.startswith(SCRATCH_PREFIX) and (
-        name.endswith(".partial") or ".partial." in name or ".partial-" in name
-    )
-
-
 @contextmanager
 def storage_errors() -> Iterator[None]:
     """What a library of an object store raises, as an OSError: some of them have exceptions of their own."""
@@ -186,79 +138,6 @@ def state_of(path: Path) -> State:
             raise OSError("its server does not tell its size; download it")
         tag = next((str(info[name]) for name in TAGS if info.get(name)), "").removeprefix("W/").strip('"')
         return State(int(found.st_size), int(found.st_mtime_ns), tag)
-
-
-def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES) -> BinaryIO:
-    """Open for reading, anywhere in it, in pieces of ``block_bytes`` where it is a URL; raises OSError."""
-    if not is_url(path):
-        return open(path, "rb")
-    from fsspec.caching import BlockCache
-    from fsspec.spec import AbstractBufferedFile
-
-    with storage_errors():
-        opened = cast(Any, path).open("rb", block_size=block_bytes)
-        if isinstance(opened, AbstractBufferedFile):
-            # A decoder jumps between the points, their table at the end and the header: each block is asked for once.
-            # Not by options of `open`: not all file systems take them.
-            opened.cache = BlockCache(block_bytes, opened._fetch_range, opened.size, KEPT_BLOCKS)
-        return cast(BinaryIO, _Guarded(opened))
-
-
-def digest_of_file(path: Path) -> str:
-    """Digest of all bytes of a path or URL; raises OSError."""
-    digest = hashlib.blake2b(digest_size=16)
-    with open_cloud(path) as stream:
-        while part := stream.read(BLOCK_BYTES):
-            digest.update(part)
-    return digest.hexdigest()
-
-
-def second_view(file: BinaryIO, path: Path) -> BinaryIO:
-    """The same file once more, with a place of its own; of a URL with the blocks that were asked for already."""
-    return cast(BinaryIO, _Guarded(file.shared)) if isinstance(file, _Guarded) else open(path, "rb")
-
-
-class _Guarded(io.RawIOBase):
-    """A file of fsspec whose every error is an OSError; several may share one, used by one thread.
-
-    Parameters
-    ----------
-    shared : file object
-        Left open: nothing but its blocks are to be freed, and others may read it.
-    """
-
-    def __init__(self, shared: Any) -> None:
-        self.shared = shared
-        self._place = 0
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        if whence == io.SEEK_END:
-            self._place = int(self.shared.seek(offset, whence))
-        else:
-            self._place = offset + (self._place if whence == io.SEEK_CUR else 0)
-        return self._place
-
-    def tell(self) -> int:
-        return self._place
-
-    def readinto(self, target: Any) -> int:
-        with storage_errors():
-            self.shared.seek(self._place)
-            try:
-                data = self.shared.read(len(target))
-            except ValueError as error:
-                if "http" not in self.shared.fs.protocol:
-                    raise
-                raise OSError("its server gives no parts of files, no range requests; download it") from error
-        target[: len(data)] = data
-        self._place += len(data)
-        return len(data)
 
 
 def list_clouds(url: str, suffixes: tuple[str, ...]) -> list[Path]:

@@ -13,7 +13,8 @@ from rasterio.errors import RasterioError
 from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, refused_write
 from tiler.io.json_text import read_object
-from tiler.io.locations import joined, partial_path, state_at
+from tiler.io.locations import joined, state_at
+from tiler.io.partial_files import partial_path
 from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import Node, el, section

@@ -12,7 +12,7 @@ from typing import Any
 from tiler.core.stage_names import stage_title
 from tiler.errors import ConfigError, refused_write
 from tiler.io.json_text import read_object
-from tiler.io.locations import partial_path
+from tiler.io.partial_files import partial_path
 from tiler.io.result_folder import RUN
 
 

@@ -25,7 +25,7 @@ from tiler.plan import KEEP
 from tiler.schedule import Task, digest_of
 from tiler.stages.file_tasks import Sheet, name_of, nodata_of, sheets
 from tiler.stages.gridding import Gridding
-from tiler.stages.tasks import Source
+from tiler.stages.ingest_tasks import Source
 from tiler.store import Commits
 from tiler.version import __version__
 

@@ -18,10 +18,18 @@ from tiler.stages.catalogue import STAGE, catalogue_tasks, planned
 from tiler.stages.changed_outputs import take_back_spoilt
 from tiler.stages.corrections import Corrections
 from tiler.stages.drawn_tasks import drawn_tasks
-from tiler.stages.file_tasks import Inputs, cog_tasks, index_tasks, legend_tasks, mosaic_tasks
+from tiler.stages.file_tasks import (
+    Inputs,
+    classified_tasks,
+    cog_tasks,
+    index_tasks,
+    legend_tasks,
+    mosaic_tasks,
+)
 from tiler.stages.gridding import Gridding
+from tiler.stages.ingest_tasks import Source
 from tiler.stages.outdated import put_aside
-from tiler.stages.tasks import Source, area_key, classified_tasks
+from tiler.stages.tasks import area_key
 from tiler.store import Commits
 
 PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)

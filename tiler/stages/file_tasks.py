@@ -1,4 +1,4 @@
-"""The tasks that write the files of the products: one COG each, or sheets and a VRT over them."""
+"""The tasks that write the files of a run: rasters (one COG each, or sheets and a VRT over them), classified clouds."""
 
 from __future__ import annotations
 
@@ -16,24 +16,29 @@ from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.sheet_names import refuse_alike, sheet_name
 from tiler.export import (
+    WriteClassified,
     WriteCog,
     WriteLegend,
     WriteMosaic,
     WriteSheetIndex,
+    write_classified,
     write_cog,
     write_legend,
     write_mosaic,
     write_sheet_index,
 )
 from tiler.export.work import SheetFile
-from tiler.io.locations import joined
-from tiler.io.result_folder import LEGEND, SHEETS
+from tiler.filter import LABELS
+from tiler.ingest import claimed_bounds
+from tiler.io.locations import joined, location
+from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS
 from tiler.plan import Plan
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding
+from tiler.stages.ingest_tasks import Source, by_source
 from tiler.stages.raster_table import MODELS, final, raster_table
 from tiler.stages.raster_tasks import checksums
-from tiler.stages.tasks import Source, area_key, by_source
+from tiler.stages.tasks import area_key
 from tiler.store import Commits
 from tiler.version import __version__
 
@@ -217,3 +222,31 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
         "TILER_INPUTS": inputs,
         **({} if datum is None else {"VERTICAL_DATUM": datum}),
     }
+
+
+def classified_tasks(
+    plan: Plan,
+    sources: Iterable[Source],
+    spooled: Commits,
+    labels: Mapping[Cell, str],
+    out: str,
+) -> Iterator[Task]:
+    """One task for each classified cloud."""
+    records = by_source(spooled)
+    for source in sources:
+        touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]}
+        cells = sorted(touched & labels.keys())  # a bucket whose task failed is not there
+        extent = claimed_bounds(source.info)
+        whole = plan.area is None or (extent is not None and plan.area.covers(extent))
+        work = WriteClassified(
+            path=location(source.info.path),
+            source=source.number,
+            out=joined(out, CLASSIFIED, str(plan.names[source.info.path])),
+            labels=LABELS,
+            cells=tuple(cells),
+            salvage=plan.config.salvage,
+            area=None if whole else area_key(plan),
+            stamp=source.info.stamp,
+        )
+        digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells], "statistics")
+        yield Task("export", f"c{source.number:06d}", digest, write_classified, work, source.info.points)

@@ -14,13 +14,14 @@ from typing import Any
 
 from tiler.errors import InputError
 from tiler.ingest import SourceInfo
+from tiler.io.cloud_reading import digest_of_file
 from tiler.io.las.unchanged import refuse_changed
-from tiler.io.locations import State, cloud_path, digest_of_file, location
+from tiler.io.locations import State, cloud_path, location
 from tiler.redaction import without_secrets
 from tiler.runs.job import Job
 from tiler.runs.worker import compute
 from tiler.schedule import Task, digest_of
-from tiler.stages.tasks import Source
+from tiler.stages.ingest_tasks import Source
 
 STAGE = "identify"
 GROUP_BYTES, GROUP_FILES = 32 << 20, 64

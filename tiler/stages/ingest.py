@@ -17,8 +17,7 @@ from tiler.plan import Plan, bounds_of, too_much_between
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
-from tiler.stages.tasks import (
-    Assembled,
+from tiler.stages.ingest_tasks import (
     Source,
     assemble_tasks,
     by_source,
@@ -27,6 +26,7 @@ from tiler.stages.tasks import (
     spool_tasks,
     strays_of,
 )
+from tiler.stages.tasks import Assembled
 from tiler.store import BucketInfo, Commits
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tiler.errors import ConfigError, ProcessingError
-from tiler.io import locations
-from tiler.io.locations import partial_path
+from tiler.io import cloud_reading, locations
+from tiler.io.partial_files import partial_path
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_clouds_are_listed(folder: str) -> None:
 def test_any_part_of_an_object_is_read(folder: str) -> None:
     path = locations.cloud_path(f"{folder}/a.laz")
     assert locations.stat_cloud(path).st_size == locations.sizes_at([str(path)])[0] == 600
-    with locations.open_cloud(path) as stream:
+    with cloud_reading.open_cloud(path) as stream:
         assert stream.seek(250) == 250
         assert stream.read(3) == bytes((50, 51, 52))
         assert stream.tell() == 253
@@ -51,7 +51,7 @@ def test_any_part_of_an_object_is_read(folder: str) -> None:
 
 def test_two_views_of_an_object_have_places_of_their_own(folder: str) -> None:
     path = locations.cloud_path(f"{folder}/a.laz")
-    with locations.open_cloud(path, 100) as stream, locations.second_view(stream, path) as other:
+    with cloud_reading.open_cloud(path, 100) as stream, cloud_reading.second_view(stream, path) as other:
         assert stream.seek(210) == 210
         assert other.read(2) == bytes((0, 1))
         assert stream.read(2) == bytes((10, 11))

@@ -20,7 +20,7 @@ from tiler.observe.events import silent
 from tiler.runs.record import RunRecord
 from tiler.schedule import SerialExecutor
 from tiler.stages import fingerprints
-from tiler.stages.tasks import Source
+from tiler.stages.ingest_tasks import Source
 from tiler.store import StoreMeta, TileStore, create_store
 
 
@@ -38,7 +38,9 @@ def store(tmp_path: Path) -> TileStore:
 
 def numbered(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list[Source], Any]:
     """The sources, and what stood for the run."""
-    plan = SimpleNamespace(sources=[inspect(path) for path in paths], config=RunConfig(**settings))
+    plan = SimpleNamespace(
+        sources=[inspect(path) for path in paths], config=RunConfig(**settings), title_of=str
+    )
     crew = SimpleNamespace(executor=lambda writes_out: SerialExecutor())
     job: Any = SimpleNamespace(plan=plan, store=store, crew=crew, listener=silent, record=RunRecord())
     return fingerprints.numbered(job), job

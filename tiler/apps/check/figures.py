@@ -23,8 +23,8 @@ from tiler.apps.evaluate.rasters import open_raster
 from tiler.errors import ConfigError
 from tiler.export.geotiff import raster_errors
 from tiler.export.picture import png_bytes
-from tiler.io.locations import appearing
 from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.partial_files import appearing
 from tiler.redaction import shown
 
 WIDTH = 760

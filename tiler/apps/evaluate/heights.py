@@ -16,8 +16,8 @@ from tiler.apps.evaluate.rasters import open_raster, raster_named
 from tiler.core.spread import SpreadTally
 from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
-from tiler.io.locations import appearing
 from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.partial_files import appearing
 
 BLOCK = 1024
 """Pixels a side of what is in memory at a time."""

@@ -20,7 +20,6 @@ from tiler.errors import InputError
 IGNORED = (7, 9, 17, 18, 26, 64, 65, 66, 67)
 """Reference classes that are neither: noise, water, bridges, the producers' virtual points and artefacts."""
 
-COUNTS = ("ground_kept", "ground_lost", "object_taken", "object_kept", "ignored")
 ERRORS = ("type_1", "type_2", "total", "kappa", "f1")
 
 UInt8s = npt.NDArray[np.uint8]

@@ -21,7 +21,7 @@ from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
 from tiler.export.geotiff import CACHE_MB, raster_errors
 from tiler.export.picture import write_png
-from tiler.io.locations import appearing
+from tiler.io.partial_files import appearing
 
 RIGHT, TYPE_1, TYPE_2, BOTH, NONE = 0, 1, 2, 3, 255
 """Codes of a cell: all points right, ground lost, objects taken for ground, both, no point that counts."""

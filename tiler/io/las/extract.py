@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from tiler.io.cloud_reading import open_cloud
 from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, rows_at_once
-from tiler.io.locations import open_cloud
 
 _STEP = 1_000_000
 _PLACE_POINTS = 1000

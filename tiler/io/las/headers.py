@@ -14,9 +14,10 @@ from stat import S_ISREG
 from typing import Any, BinaryIO, NoReturn
 
 from tiler.errors import InputError
+from tiler.io.cloud_reading import open_cloud
 from tiler.io.las.laz import LazDamage, LazLayout, bytes_of_points, parse_laszip, read_table, walk_chunks
 from tiler.io.las.records import VariableRecord, walk_records
-from tiler.io.locations import State, is_url, open_cloud, state_of
+from tiler.io.locations import State, is_url, state_of
 
 _BLOCK_BYTES = 1 << 18
 """Bytes of an object read at once: what stands before the points, the chunk table or a record seldom take more."""

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.errors import InputError
+from tiler.io.cloud_reading import BLOCK_BYTES, open_cloud, second_view
 from tiler.io.las.headers import AGAIN, LasHeader, refuse
 from tiler.io.las.laz import LazDamage, LazLayout, check_layers, is_panic
-from tiler.io.locations import BLOCK_BYTES, open_cloud, second_view
 
 Records = npt.NDArray[np.void]
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.errors import refused_write
-from tiler.io.locations import appearing
+from tiler.io.partial_files import appearing
 
 WHEN = "2000-01-01T00:00:00.000Z"
 """In place of the time of writing, which a GeoPackage keeps for each layer: same features, same bytes."""

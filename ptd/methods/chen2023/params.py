@@ -1,0 +1,150 @@
+"""Parameters of `chen2023`; the table in `chen2023` gives the reasons of their defaults."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+from ptd.frame import Scale
+from ptd.ground.outliers import search_margin
+from ptd.matched.on_cells import OnCells
+from ptd.methods.chen2023.progressive_opening import Opening, height_thresholds, window_widths
+from ptd.methods.chen2023.seed_clusters import ClusterLimits
+from ptd.methods.classic import Classic
+from ptd.methods.progressive import Progressive
+from ptd.params import like, parameter
+
+
+def _cells_of(metres: float, cell_m: float) -> Fraction:
+    return Fraction(repr(float(metres))) / Fraction(repr(float(cell_m)))
+
+
+@dataclass(frozen=True)
+class Chen2023Parameters(Progressive):
+    """What can be set; `ptd.methods.chen2023.method.Chen2023` adds the passes."""
+
+    max_building_size_m: float = parameter(
+        30.0, "the largest building that the windows take out; the ring's cells are half of it", unit="m",
+        minimum=1.0, maximum=1000.0, source="Chen 2023, 3.2 (1)",
+    )  # fmt: skip
+    thin_cell_m: float = parameter(
+        1.0, "c: cells of the minimum raster, whose lowest points alone can become vertices", unit="m", minimum=0.1,
+        maximum=10.0, source="Chen 2023, 2.2 A",
+    )  # fmt: skip
+    initial_window: int = parameter(
+        1,
+        "W_0: windows of 2 k W_0 + 1 cells, k = 1, 2, ...",
+        minimum=1,
+        maximum=1000,
+        source="Chen 2023, 3.2 (2), eq. 1",
+    )
+    rounds: int = like(Classic, "rounds", 4)
+    exponential_windows: bool = parameter(
+        False, "windows of 2 W_0^k + 1 cells instead; W_0 must be 2 or more", source="Chen 2023, eq. 2"
+    )
+    terrain_slope: float = parameter(
+        0.3, "s: rise over run by which ground may drop per metre that the window grows", minimum=0.0, maximum=10.0,
+        source="Chen 2023, eq. 3",
+    )  # fmt: skip
+    initial_drop_m: float = parameter(
+        0.3,
+        "h_0: what ground may drop in any case",
+        unit="m",
+        minimum=0.0,
+        maximum=100.0,
+        source="Chen 2023, eq. 3",
+    )
+    largest_drop_m: float = parameter(
+        2.5, "h_max: the most that ground may drop from one window to the next", unit="m", minimum=0.01,
+        maximum=100.0, source="Chen 2023, eq. 3",
+    )  # fmt: skip
+    mean_layers: int = parameter(
+        5, "empty cells so far from filled ones are interpolated, farther ones take the nearest height", minimum=0,
+        maximum=1000, source="Chen 2023, 2.2 A",
+    )  # fmt: skip
+    tail_gap_m: float = parameter(
+        20.0, "elevation histogram: a tail lies beyond a gap of this height; 0: no tails", unit="m", minimum=0.0,
+        maximum=10000.0, source="Chen 2023, 2.1 a",
+    )  # fmt: skip
+    tail_share: float = parameter(
+        0.001, "elevation histogram: a tail holds no more than this share of the candidates of the run", minimum=0.0,
+        maximum=0.1, source="Chen 2023, 2.1 a",
+    )  # fmt: skip
+    long_side: float = parameter(
+        1.5, "seeds: of facets with a side of more than so many largest buildings the highest corner is noise; 0: off",
+        minimum=0.0, maximum=1000.0, source="Chen 2023, 2.3 (1)",
+    )  # fmt: skip
+    narrow_angle_deg: float = parameter(
+        15.0, "seeds: facets with a smaller angle do not join seeds to clusters", unit="deg", minimum=0.0,
+        maximum=60.0, source="Chen 2023, 2.3 (2)",
+    )  # fmt: skip
+    cluster_seeds: int = parameter(
+        50,
+        "seeds: a cluster of no more is small; 0: none is",
+        minimum=0,
+        maximum=10**6,
+        source="Chen 2023, 2.3 (2)",
+    )
+    prominence_m: float = parameter(
+        1.0, "seeds: so much higher than the seeds around it a small cluster is noise", unit="m", minimum=0.0,
+        maximum=100.0, source="Chen 2023, 2.3 (2)",
+    )  # fmt: skip
+    label_pass: bool = like(Classic, "label_pass")
+    robust_cells: bool = like(OnCells, "robust_cells")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.exponential_windows and self.initial_window < 2:
+            raise ValueError("initial_window 1: exponential windows never grow from 1; use 2 or more")
+        if self.thin_cell_m > self.max_building_size_m:
+            raise ValueError(
+                f"thin_cell_m {self.thin_cell_m:g}: windows are made of such cells; use at most max_building_size_m, "
+                f"{self.max_building_size_m:g} m"
+            )
+
+    @property
+    def widths(self) -> list[int]:
+        """Widths of the windows, in cells."""
+        size = _cells_of(self.max_building_size_m, self.thin_cell_m)
+        return window_widths(self.initial_window, self.exponential_windows, size)
+
+    @property
+    def halo_m(self) -> float:
+        """The widest window, four cells of the ring, 8 m for each round: measured to certify most tiles of a city."""
+        window = max(self.widths) * self.thin_cell_m
+        return window + 4.0 * self.ring_cell_m + 8.0 * min(self.rounds or 30, 30)
+
+    @property
+    def ring_cell_m(self) -> float:
+        """Side of the cells of virtual points around the border: half the largest building."""
+        return self.max_building_size_m / 2.0
+
+    @property
+    def margin_cells(self) -> int:
+        """How many cells around a point the searches for outliers look at.
+
+        At least one, so that each candidate of a core is known, and counts in one tile alone.
+        """
+        return search_margin(self.low_radius_m, 1, self.thin_cell_m)
+
+    @property
+    def candidate_cell_m(self) -> float:
+        """Cell of which the lowest point is the candidate."""
+        return self.thin_cell_m
+
+    def opening(self, scale: Scale) -> Opening:
+        """Windows and thresholds in counts."""
+        drops = height_thresholds(
+            self.widths, self.terrain_slope, self.thin_cell_m, self.initial_drop_m, self.largest_drop_m
+        )
+        return Opening(self.widths, [scale.counts_z(drop) for drop in drops], self.mean_layers)
+
+    def clusters(self, scale: Scale) -> ClusterLimits:
+        """Limits of the seeds' refinement in counts."""
+        side, cosine = (
+            self.long_side * self.max_building_size_m,
+            math.cos(math.radians(self.narrow_angle_deg)),
+        )
+        prominence = scale.counts_z(self.prominence_m)
+        return ClusterLimits(scale.counts(side), cosine, self.cluster_seeds, prominence, scale.z_ratio)
