@@ -21,6 +21,8 @@ from tiler.io.vector import geopackage
 from tiler.store import open_store
 
 LAYER = "outline"
+MOST_VERTICES = 8_000
+"""Of the outline on the map of the report."""
 
 
 def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
@@ -37,7 +39,8 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path``, ``bytes``, ``digest``, ``state``: as those of `write_cog`; ``polygons``.
+        ``path``, ``bytes``, ``digest``, ``state``: as those of `write_cog`; ``polygons``; ``rings``: for a map, each as
+        x, y, x, y, ... in units of the CRS, with no more detail than `MOST_VERTICES` allow.
 
     Raises
     ------
@@ -59,7 +62,20 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
             )
         record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
     state = state_of(cloud_path(joined(work.out, work.name))).to_json()
-    return {**record, "state": state, "polygons": len(parts)}
+    size = float(spec.lattice.size / COUNTS_PER_UNIT)
+    return {**record, "state": state, "polygons": len(parts), "rings": rings_of(parts, size)}
+
+
+def rings_of(parts: npt.NDArray[Any], size: float) -> list[list[float]]:
+    """Rings of polygons, without steps of ``size`` and, if they are too many for a page, with steps twice as wide."""
+    while True:
+        simple = shapely.simplify(parts, size)
+        simple = simple[~shapely.is_empty(simple)]
+        if shapely.get_num_coordinates(simple).sum() <= MOST_VERTICES or len(simple) > MOST_VERTICES / 4:
+            break
+        size *= 2
+    rings = shapely.get_rings(simple)[: MOST_VERTICES // 4]
+    return [np.round(shapely.get_coordinates(ring), 3).ravel().tolist() for ring in rings]
 
 
 def polygons_of(cells: npt.NDArray[np.float32], spec: RasterSpec, area: Area | None) -> npt.NDArray[Any]:

@@ -2,7 +2,7 @@
 
 from tiler.grid.blank import blank_blocks
 from tiler.grid.block import SMALLEST_PART, full_halo, grid_block
-from tiler.grid.bridges import examine_deck, examined, find_deck_cells
+from tiler.grid.bridges import examine_decks, examined, find_deck_cells
 from tiler.grid.density import density_block
 from tiler.grid.derived import derive_block
 from tiler.grid.distance import distance_block
@@ -19,7 +19,7 @@ from tiler.grid.work import (
     BlankBlocks,
     DeriveBlock,
     DistanceBlock,
-    ExamineDeck,
+    ExamineDecks,
     FillBlock,
     FindDeckCells,
     FindWater,
@@ -41,7 +41,7 @@ __all__ = [
     "BlankBlocks",
     "DeriveBlock",
     "DistanceBlock",
-    "ExamineDeck",
+    "ExamineDecks",
     "FillBlock",
     "FindDeckCells",
     "FindWater",
@@ -61,7 +61,7 @@ __all__ = [
     "density_block",
     "derive_block",
     "distance_block",
-    "examine_deck",
+    "examine_decks",
     "examined",
     "fill_block",
     "find_bodies",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,19 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.deck import Deck, find_deck
 from tiler.grid.deck_cells import DIRECTIONS, REACH_M, Cells, deck_cells
 from tiler.grid.ground import GroundRule, read_classes, surface_points
-from tiler.grid.work import ExamineDeck, FindDeckCells
+from tiler.grid.work import ExamineDecks, FindDeckCells
 from tiler.store import TileStore, open_store
 
 Bools = npt.NDArray[np.bool_]
+Counts = npt.NDArray[np.int64]
+PlaceCells = tuple[tuple[int, int, int], ...]
 
 AROUND_M = 45.0
 """Around a place that may be a deck, in which points are looked at."""
 VOXEL_M = (0.25, 0.25, 0.1)
 """Of points in one of these one is looked at, so that neither density nor the order of points matters."""
+LOWEST = -(1 << 31)
+"""Counts below which no point lies."""
 FEWEST = 12
 """Points that a deck has at least."""
 MOST_DIRECTIONS = 3
@@ -66,50 +71,71 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     return {"cells": found.tolist()}
 
 
-def examine_deck(store_url: str, work: ExamineDeck) -> dict[str, Any]:
-    """Look whether some cells are the deck of a bridge; a `tiler.schedule.task.Work`.
+def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
+    """Look whether places are decks of bridges; a `tiler.schedule.task.Work`.
 
     Parameters
     ----------
     store_url : str
-    work : ExamineDeck
+    work : ExamineDecks
 
     Returns
     -------
     dict
-        ``why``: why they are none, empty where they are. Else also ``ring``, ``surface`` (as of
-        `tiler.core.edits.DeckSurface`, without its limits), ``length_m``, ``width_m``, ``clearance_m``, ``below``.
+        ``decks``: of each that is one ``ring``, ``surface`` (as of `tiler.core.edits.DeckSurface`, without its limits),
+        ``length_m``, ``width_m``, ``clearance_m``, ``below``; ``reasons``: why the others are none.
     """
     store, spec = open_store(store_url), work.spec
     frame = store.meta.frame
-    bounds = examined(spec, work.cells, float(frame.metres_xy))
     metres = np.array((frame.metres_xy, frame.metres_xy, frame.metres_z), np.float64)
-    corner = np.array((bounds.x0, bounds.y0, 0.0))
-    xyz, ground, places = _window(store, work, bounds, metres, corner)
-    if len(xyz) < FEWEST:
-        return {"why": "too few points"}
-    rows, cols, directions = np.array(work.cells).T
-    occupied = len(np.unique(places[0] * (spec.width + 1) + places[1]))
-    spacing = math.sqrt(occupied * float(spec.lattice.size * frame.metres_xy) ** 2 / len(xyz))
-    why = "too few points"
-    for direction in np.argsort(-np.bincount(directions, minlength=DIRECTIONS), kind="stable")[
-        :MOST_DIRECTIONS
-    ]:
-        mine = directions == direction
-        cells = {(int(r), int(c)) for r, c in zip(rows[mine], cols[mine], strict=True)}
-        seeds = np.array(
-            [place in cells for place in zip(*(p.tolist() for p in places), strict=True)], np.bool_
-        )
+    bounds = [examined(spec, cells, float(frame.metres_xy)) for cells in work.places]
+    xyz, ground = _voxels(store, work.rule, reduce(Bounds.union, bounds), metres)
+    decks, reasons = [], []
+    for cells, window in zip(work.places, bounds, strict=True):
+        x, y = xyz[:, 0], xyz[:, 1]
+        inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
+        deck, why = _examine(spec, cells, window, xyz[inside], ground[inside], metres)
+        reasons += [why] if deck is None else []
+        decks += [] if deck is None else [deck]
+    return {"decks": decks, "reasons": reasons}
+
+
+def _examine(
+    spec: RasterSpec, cells: PlaceCells, window: Bounds, counts: Counts, ground: Bools, metres: Any
+) -> tuple[dict[str, Any] | None, str]:
+    """A deck among the points of a window, or why there is none."""
+    if len(counts) < FEWEST:
+        return None, "too few points"
+    rows, cols = (
+        spec.north - 1 - spec.lattice.index(counts[:, 1]),
+        spec.lattice.index(counts[:, 0]) - spec.west,
+    )
+    top, left = int(rows.min()), int(cols.min())
+    rows, cols, shape = rows - top, cols - left, (int(rows.max()) - top + 1, int(cols.max()) - left + 1)
+    occupied = np.zeros(shape, np.bool_)
+    occupied[rows, cols] = True
+    side = float(spec.lattice.size) * float(metres[0])
+    spacing = side * math.sqrt(int(occupied.sum()) / len(counts))
+    corner = np.array((window.x0, window.y0, 0.0))
+    xyz = (counts - corner) * metres
+    places, why = np.array(cells), "too few points"
+    votes = np.bincount(places[:, 2], minlength=DIRECTIONS)
+    for direction in np.argsort(-votes, kind="stable")[:MOST_DIRECTIONS].tolist():
+        mask = np.zeros(shape, np.bool_)
+        mine = places[places[:, 2] == direction, :2] - (top, left)
+        there = ((mine >= 0) & (mine < shape)).all(axis=1)
+        mask[mine[there, 0], mine[there, 1]] = True
+        seeds = mask[rows, cols]
         if seeds.sum() < FEWEST:
             continue
-        angle = math.pi * float(direction) / DIRECTIONS
+        angle = math.pi * direction / DIRECTIONS
         deck, why = find_deck(xyz, ground, seeds, (math.cos(angle), math.sin(angle)), spacing)
         if deck is not None:
-            return _record(deck, metres, corner)
-    return {"why": why}
+            return _record(deck, metres, corner), ""
+    return None, why
 
 
-def examined(spec: RasterSpec, cells: tuple[tuple[int, int, int], ...], metres: float) -> Bounds:
+def examined(spec: RasterSpec, cells: PlaceCells, metres: float) -> Bounds:
     """Where the points lie that are looked at for some cells, counts."""
     rows, cols, _ = np.array(cells).T
     top, left = int(rows.min()), int(cols.min())
@@ -117,29 +143,25 @@ def examined(spec: RasterSpec, cells: tuple[tuple[int, int, int], ...], metres: 
     return spec.block_bounds(block).pad(math.ceil(AROUND_M / metres))
 
 
-def _window(
-    store: TileStore, work: ExamineDeck, bounds: Bounds, metres: Any, corner: Any
-) -> tuple[Any, Bools, tuple[Any, ...]]:
-    """Points of a window, one for each voxel: metres from its corner, which are ground, row and column of cells."""
+def _voxels(store: TileStore, rule: GroundRule, bounds: Bounds, metres: Any) -> tuple[Counts, Bools]:
+    """Centres of the voxels of some bounds that hold points, counts (n, 3), and whether one of these is ground."""
     steps = np.maximum(np.round(np.array(VOXEL_M) / metres), 1).astype(np.int64)
-    parts = [np.empty((0, 4), np.int64)]
+    first = np.array((bounds.x0 // steps[0], bounds.y0 // steps[1], LOWEST // steps[2]))
+    high = bounds.y1 // steps[1] - first[1] + 1
+    deep = 2 * -first[2]
+    parts = [np.empty(0, np.int64)]
     for cell in store.buckets_within(bounds):
-        points, chosen, is_ground = _points(store, work.rule, cell, bounds)
+        points, chosen, is_ground = _points(store, rule, cell, bounds)
         ox, oy = store.meta.frame.origin
-        xyz = points.xyz[:, chosen].astype(np.int64) + np.array(((ox,), (oy,), (0,)))
-        voxels = np.concatenate((xyz.T // steps, ~is_ground[chosen][:, None]), axis=1)
-        parts.append(np.unique(voxels, axis=0))
-    voxels = np.unique(np.concatenate(parts), axis=0)
-    # Of a voxel with ground and other points the first one is the ground.
-    first = np.ones(len(voxels), np.bool_)
-    first[1:] = (voxels[1:, :3] != voxels[:-1, :3]).any(axis=1)
-    centres = voxels[first, :3] * steps + steps // 2
-    lattice = work.spec.lattice
-    places = (
-        work.spec.north - 1 - lattice.index(centres[:, 1]),
-        lattice.index(centres[:, 0]) - work.spec.west,
-    )
-    return (centres - corner) * metres, voxels[first, 3] == 0, places
+        x, y, z = points.xyz[:, chosen].astype(np.int64) + np.array(((ox,), (oy,), (0,)))
+        column = (x // steps[0] - first[0]) * high + y // steps[1] - first[1]
+        # Of a voxel with ground and other points the ground comes first.
+        parts.append(np.unique((column * deep + z // steps[2] - first[2]) * 2 + ~is_ground[chosen]))
+    keys = np.unique(np.concatenate(parts))
+    voxels, rows = np.unique(keys // 2, return_index=True)
+    column, iz = np.divmod(voxels, deep)
+    centres = (np.stack((*np.divmod(column, high), iz), axis=1) + first) * steps + steps // 2
+    return centres, keys[rows] % 2 == 0
 
 
 def _points(store: TileStore, rule: GroundRule, cell: Any, bounds: Bounds) -> tuple[PointBlock, Bools, Bools]:
@@ -167,7 +189,6 @@ def _record(deck: Deck, metres: Any, corner: Any) -> dict[str, Any]:
     (x, y), (a, b, c, d) = deck.centre, deck.surface
     flat, high = float(metres[0]), float(metres[2])
     return {
-        "why": "",
         "ring": ring.tolist(),
         "surface": [
             x / flat + float(corner[0]), y / flat + float(corner[1]), *deck.along,

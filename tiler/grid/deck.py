@@ -34,14 +34,14 @@ BETWEEN = 0.34
 """Of the points below deck level beside an edge, the share that lies at heights between at most."""
 END_M = 12.0
 """Beyond the free part, within which the ground beside comes up and the road goes on."""
-SHORTEST_M, NARROWEST_M, LONGEST_M, SLIMNESS, FEWEST_SLICES = 5.0, 2.0, 300.0, 0.5, 4
+SHORTEST_M, NARROWEST_M, LONGEST_M, SLIMNESS, FEWEST_SLICES = 5.0, 2.0, 300.0, 1.0, 4
 """Of a free part: its length, its width, its length over its width, and the slices in which it is looked at."""
 CLEARANCE_M = 2.0
 """Of a deck at least: lower ones cannot be told from terraces, and from banks with plants."""
 LEAST_SLICE_M, MOST_TURNS, STRAIGHT = 1.5, 2, 0.02
 """Of a slice along a deck; how often its direction is corrected, and the slope of its edges that needs none."""
-ROAD_SLICES, FEWEST_ROAD = 3, 3
-"""Slices beyond an end in which the road has to go on, and its ground points there at least."""
+ROAD_SLICES, FEWEST_ROAD, MOSTLY_ROAD = 3, 3, 0.5
+"""Slices beyond an end in which the road has to go on; its ground points there at least, and their share of all."""
 INNER_M, WIDER_M = 0.7, 0.3
 """How far within its edges a point is beneath a deck; and how much wider than its points it is drawn."""
 ALIKE, ALIKE_M = 0.35, 0.7
@@ -203,10 +203,12 @@ def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, c
     if not up.any(axis=0).all():
         return "the ground beside does not come up at an end"
     begins = view.starts[near[:ROAD_SLICES]]
-    road = ground & (view.s >= begins.min()) & (view.s < begins.max() + view.width)
-    road &= np.abs(view.off) < 2 * TOLERANCE_M
-    road &= (view.t > np.median(edges[:, 0])) & (view.t < np.median(edges[:, 1]))
-    return "no road goes on at an end" if road.sum() < FEWEST_ROAD else ""
+    box = (view.s >= begins.min()) & (view.s < begins.max() + view.width)
+    box &= (view.t > np.median(edges[:, 0])) & (view.t < np.median(edges[:, 1]))
+    road = int((box & ground & (np.abs(view.off) < 2 * TOLERANCE_M)).sum())
+    if road >= max(FEWEST_ROAD, MOSTLY_ROAD * int(box.sum())):
+        return ""
+    return "no road goes on at an end"
 
 
 def _beneath(view: _View, free: Ints, edges: Floats) -> int:

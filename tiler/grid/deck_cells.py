@@ -18,7 +18,9 @@ Ints = npt.NDArray[np.int64]
 DIRECTIONS = 8
 """Directions across a deck that are tried, from east by north to west."""
 DROP_M = 1.0
-"""By which the ground beside a deck is lower at least."""
+"""By which the ground beside a deck is lower at least where it stands free."""
+CLEAR_M = 1.8
+"""By which it is lower beside its highest part, which is what is looked for."""
 STEP_M = 0.5
 """By which heights of neighbouring cells of a deck may differ."""
 WIDEST_M, LONGEST_M, VOID_M = 40.0, 60.0, 40.0
@@ -87,12 +89,12 @@ def along(direction: int, steps: int) -> tuple[int, int]:
 
 
 def _drops(cells: Cells, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
-    """Whether the ground right beside cells is lower by `DROP_M`; beside water, the first point beyond it."""
+    """Whether the ground right beside cells is lower by `CLEAR_M`; beside water, the first point beyond it."""
     found, waiting = np.zeros(len(rows), np.bool_), np.ones(len(rows), np.bool_)
     for step in range(1, cells.steps(VOID_M) + 1):
         down, right = along(direction, sign * step)
         low = cells.at(cells.low, rows + down, cols + right)
-        found |= waiting & (low <= height - DROP_M)
+        found |= waiting & (low <= height - CLEAR_M)
         # A cell at the edge has points of both: one more is looked at.
         waiting &= ~found & (np.isnan(low) | (step == 1))
         if not waiting.any():

@@ -125,21 +125,21 @@ class FindDeckCells(BlockWork):
 
 
 @dataclass(frozen=True)
-class ExamineDeck:
-    """Cells of a raster that together may be the deck of a bridge.
+class ExamineDecks:
+    """Places of which each may be the deck of a bridge.
 
     Attributes
     ----------
     rule : GroundRule
     spec : RasterSpec
         Of the cells.
-    cells : tuple of (row, column, direction)
-        See `tiler.grid.deck_cells.deck_cells`.
+    places : tuple of tuples of (row, column, direction)
+        The cells of each, see `tiler.grid.deck_cells.deck_cells`.
     """
 
     rule: GroundRule
     spec: RasterSpec
-    cells: tuple[tuple[int, int, int], ...]
+    places: tuple[tuple[tuple[int, int, int], ...], ...]
 
 
 @dataclass(frozen=True)

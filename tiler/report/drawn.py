@@ -1,8 +1,8 @@
-"""The part of the report on what people drew, or what was found: corrections, lines, water and its levels."""
+"""The part of the report on what was drawn: water, bridges, corrections, lines; and the layers of the map."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tiler.report.document import Content, Node, el, section, table
@@ -13,6 +13,8 @@ def drawn(run: Run) -> list[Node]:
     """One section where there is anything to tell, else none."""
     lines, edits, water, contours = (run.get(name) for name in ("breaklines", "edits", "water", "contours"))
     content: list[Content] = []
+    if run.get("bridges"):
+        content += _bridges(run["bridges"])
     if edits:
         rows = [
             (str(e["number"]), e["action"], ", ".join(f"{v:,.1f}" for v in e["bounds"]), _changed(e))
@@ -39,20 +41,39 @@ def drawn(run: Run) -> list[Node]:
     return [section("drawn", "Drawn", *content)] if content else []
 
 
+LAYERS = {
+    "outline": ("outline", "#3c4043", False),
+    "water": ("water", "#1f78d1", True),
+    "bridges": ("bridges", "#8a3ffc", True),
+    "breaklines": ("breaklines", "#0b7a75", False),
+    "edits": ("corrections", "#d1341f", False),
+}
+"""Of the map, from the lowest: title, colour, and whether what it surrounds is tinted."""
+
+
 def shapes(run: Run) -> list[dict[str, Any]]:
-    """Layers of lines for the map: name, title, colour, and of each line x, y, x, y, ... in units of the CRS."""
-    layers = [
-        (
-            "edits",
-            "corrections",
-            "#d1341f",
-            [ring for e in run.get("edits", ()) for ring in e.get("rings", ())],
-        ),
-        ("breaklines", "breaklines", "#0b7a75", (run.get("breaklines") or {}).get("drawn", [])),
-        ("water", "water", "#2f6fc4", [ring for b in run.get("water", ()) for ring in b.get("rings", ())]),
+    """Layers of the map that can be switched on and off, their lines as x, y, x, y, ... in units of the CRS."""
+    of_features = {name: run.get(name) or () for name in ("water", "bridges", "edits")}
+    lines = {
+        name: [ring for f in found for ring in f.get("rings", ())] for name, found in of_features.items()
+    }
+    lines["outline"] = (run.get("outline") or {}).get("rings", [])
+    lines["breaklines"] = (run.get("breaklines") or {}).get("drawn", [])
+    return [
+        {"name": name, "title": title, "colour": colour, "tinted": tinted, "lines": lines[name]}
+        for name, (title, colour, tinted) in LAYERS.items()
+        if lines[name]
     ]
-    names = ("name", "title", "colour", "lines")
-    return [dict(zip(names, layer, strict=True)) for layer in layers if layer[3]]
+
+
+def _bridges(bridges: Sequence[Mapping[str, Any]]) -> list[Content]:
+    names = ("length_m", "width_m", "clearance_m")
+    rows = [(*(f"{b[name]:.1f}" for name in names), str(b["below"])) for b in bridges[:MOST_ROWS]]
+    heads = ("length, m", "width, m", "clearance, m", "points seen beneath")
+    return [
+        el("h3", f"{counted(len(bridges), 'bridge')} left out of the terrain"),
+        table(heads, rows, (0, 1, 2, 3)),
+    ]
 
 
 def _levels(body: Mapping[str, Any]) -> str:

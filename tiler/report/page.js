@@ -91,11 +91,16 @@
   }
 
   function drawShapes(layer) {
-    pen.strokeStyle = layer.colour;
+    pen.strokeStyle = pen.fillStyle = layer.colour;
     pen.lineWidth = 2;
     pen.beginPath();
     for (const line of layer.lines)
       for (let i = 0; i < line.length; i += 2) pen[i ? "lineTo" : "moveTo"](column(line[i]), row(line[i + 1]));
+    if (layer.tinted) {
+      pen.globalAlpha = 0.3;
+      pen.fill("evenodd");
+      pen.globalAlpha = 1;
+    }
     pen.stroke();
   }
 
@@ -188,6 +193,7 @@
     legend.replaceChildren();
     const picture = data.pictures.find((p) => p.name === shown.picture);
     for (const [colour, text] of picture ? picture.legend : []) legend.append(swatch(colour, text));
+    for (const layer of data.shapes) if (shown[layer.name]) legend.append(swatch(layer.colour, layer.title));
     if (!data.stages.length || shown.tiles === "none") return;
     const tiles = stage().tiles;
     const seconds = tiles.map((t) => t[SECONDS]).filter((s) => s !== null);

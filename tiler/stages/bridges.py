@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,11 @@ from scipy import ndimage
 from tiler.core.area import Area
 from tiler.core.edits import DECK, DeckSurface, Edit
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Cell
+from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.export.work import DrawnDeck
-from tiler.grid import ExamineDeck, FindDeckCells, examine_deck, examined, find_deck_cells
+from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined, find_deck_cells
+from tiler.grid.bridges import PlaceCells
 from tiler.grid.deck_cells import DROP_M, REACH_M
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -31,7 +34,8 @@ CELLS, DECKS = "deck-cells", "decks"
 """Names of the stages."""
 WIDEST_M = 600.0
 """A place that is larger is no bridge, and its points are too many to look at once."""
-FEWEST_CELLS = 3
+FEWEST_CELLS = 4
+"""A place of fewer is too small for a bridge."""
 ABOVE_M = 0.6
 """Of a point of a deck above its surface; below it is nearer to the deck than to what lies beneath."""
 
@@ -45,7 +49,7 @@ def find_bridges(
     g = Gridding(job.plan, assembled, labels)
     cells = run_stage(job, CELLS, _cell_tasks(g))
     made = run_stage(job, DECKS, _deck_tasks(g, cells))
-    records = _apart([record for _, (_, record) in sorted(made.items()) if not record["why"]])
+    records = _apart([deck for _, (_, record) in sorted(made.items()) for deck in record["decks"]])
     job.facts["bridges"] = [_fact(record) for record in records]
     if records:
         text = "1 bridge is" if len(records) == 1 else f"{len(records)} bridges are"
@@ -68,22 +72,26 @@ def _cell_tasks(g: Gridding) -> Iterator[Task]:
 
 
 def _deck_tasks(g: Gridding, found: Commits) -> Iterator[Task]:
-    """One for each place where cells that may be decks touch one another."""
+    """One for the places of each bucket where cells that may be decks touch one another."""
     spec, rule, lattice = g.coarse, ground_rule(g.plan), g.plan.meta.bucket
     metres = float(g.plan.meta.frame.metres_xy)
+    groups: dict[Cell, list[PlaceCells]] = defaultdict(list)
     for cells in _places(spec, found):
         bounds = examined(spec, cells, metres)
-        if len(cells) < FEWEST_CELLS or max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres > WIDEST_M:
-            continue
-        work = ExamineDeck(rule, spec, cells)
-        near = lattice.among(bounds, g.labels)
+        if (
+            len(cells) >= FEWEST_CELLS
+            and max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres <= WIDEST_M
+        ):
+            groups[next(lattice.cells(bounds))].append(cells)
+    for cell, places in sorted(groups.items()):
+        work = ExamineDecks(rule, spec, tuple(places))
+        near = lattice.among(reduce(Bounds.union, (examined(spec, c, metres) for c in places)), g.labels)
         digest = digest_of(__version__, work, [[c.ix, c.iy, g.labels[c]] for c in near])
-        points = sum(g.assembled.records[cell]["n"] for cell in near)
-        row, col, _ = cells[0]
-        yield Task(DECKS, f"r{row:07d}c{col:07d}", digest, examine_deck, work, points)
+        points = sum(g.assembled.records[c]["n"] for c in near)
+        yield Task(DECKS, cell.name, digest, examine_decks, work, points)
 
 
-def _places(spec: RasterSpec, found: Commits) -> Iterator[tuple[tuple[int, int, int], ...]]:
+def _places(spec: RasterSpec, found: Commits) -> Iterator[PlaceCells]:
     """Cells that touch one another, in the order of rows and columns, whichever blocks they are of."""
     cells = sorted({tuple(cell) for _, record in found.values() for cell in record["cells"]})
     if not cells:

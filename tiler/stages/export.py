@@ -9,7 +9,7 @@ from tiler.core.products import CONTOURS
 from tiler.errors import ProcessingError, refused_write
 from tiler.export import WriteCog
 from tiler.io.locations import is_url, joined, sizes_at
-from tiler.io.result_folder import LEGEND, SHEETS, below
+from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, below
 from tiler.plan import KEEP
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -61,6 +61,7 @@ def export(
     _make_folders(rasters, out)  # only now: the folder of sheets that were put aside is gone
     made = _write(job, "export", tasks, out)
     _tell_of_contours(job)
+    _tell_of_outline(job)
     if mosaics or job.store.committed("mosaic"):
         mosaics += index_tasks(tasks, made, out)
         made |= _write(job, "mosaic", mosaics, out)
@@ -101,6 +102,12 @@ def _make_folders(tasks: list[Task], out: str) -> None:
             Path(folder).mkdir(exist_ok=True)
         except OSError as error:
             raise refused_write(folder, error, Path(out)) from error
+
+
+def _tell_of_outline(job: Job) -> None:
+    found = job.store.committed("export").get(OUTLINE)
+    if found is not None and "outline" in job.facts:
+        job.facts["outline"] = {**job.facts["outline"], "rings": found[1].get("rings", [])}
 
 
 def _tell_of_contours(job: Job) -> None:
