@@ -1,4 +1,4 @@
-"""An interrupted command ends in time: by itself, or, where something does not let go of it, by force."""
+"""Ends an interrupted command within seconds: it may end by itself, and is killed if something hangs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `run` and the four stage commands share: they are one job, up to a stage."""
+"""Shared by `run` and the four stage commands: each does the whole job up to one stage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options made from the settings of a run: their names, help, units and defaults have one home."""
+"""Command line options, made from the settings of a run (`tiler.config.settings`): names, help, units, defaults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one call of the command line knows about itself, and the base of all commands."""
+"""State of one call of the command line (verbosity, listeners), and the base class of all commands."""
 
 from __future__ import annotations
 

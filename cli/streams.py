@@ -1,4 +1,4 @@
-"""The standard streams of a command: what is written to a reader that went away is for nobody, and no failure."""
+"""Standard output and error of a command; a reader that closes the pipe (``tiler ... | head``) is no error."""
 
 from __future__ import annotations
 

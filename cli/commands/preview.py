@@ -14,7 +14,7 @@ from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import percent_text
 
 WITHOUT = (
-    "products", "sheets", "bounds", "aoi", "store", "scheduler", "workers", "in_process", "task_seconds",
+    "products", "sheets", "sheet_name", "bounds", "aoi", "store", "scheduler", "workers", "in_process", "task_seconds",
     "compress", "nodata", "on_error", "verify", "overwrite", "force", "clean_store", "voids",
 )  # fmt: skip
 """Settings of a run that no preview has."""

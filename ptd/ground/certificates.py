@@ -1,4 +1,4 @@
-"""Which triangles could be others if points outside the window were known.
+"""Finds the triangles of a window's TIN that points outside the window could change.
 
 A triangle is the same for any larger cloud if its circumcircle holds no place in doubt. A decision that used a triangle
 in doubt puts its point's place in doubt too, since the point may or may not become a vertex. So doubt grows round by

@@ -9,12 +9,11 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
-from ptd.params import UNIT_SUFFIXES
-from tiler.config.parsing import parse_pairs, parse_value, plain_value
-from tiler.config.presets import load_preset, preset_names
+from tiler.config.parsing import parse_value, plain_value
+from tiler.config.presets import preset_names
+from tiler.config.sources import over_preset
 from tiler.core.products import DRAWN, NODATA, PRODUCTS
 from tiler.core.sheet_names import DEFAULT as SHEET_NAME
 from tiler.errors import ConfigError
@@ -43,7 +42,7 @@ class RunConfig:
         (), "parameters of the method, name=value (`tiler methods NAME` lists them)", kind="pairs"
     )
     ground_classes: tuple[int, ...] = setting(
-        (2,), "classes that `--method keep` grids as ground", kind="classes"
+        (2,), "classes of the input that `--method keep` takes as ground", kind="classes"
     )
     products: tuple[str, ...] = setting(
         ("dtm",), "rasters to write, each as OUT/<name>.tif: dtm, dsm (surface), ndsm (surface above the terrain), "
@@ -51,46 +50,72 @@ class RunConfig:
         "(where heights come from); as OUT/<name>.gpkg: contours (lines), spots (tops and bottoms)", kind="names",
         choices=(*PRODUCTS, *DRAWN),
     )  # fmt: skip
-    sheets: Fraction | None = setting(None, "side of the sheets into which each product is cut: files "
-                                      "OUT/<product>/<sheet-name>.tif below OUT/<product>.vrt, listed in "
-                                      "OUT/sheets.gpkg; default: one file", unit="m",
-                                      kind="length")  # fmt: skip
+    sheets: Fraction | None = setting(
+        None,
+        "side of the sheets into which each product is cut: files "
+        "OUT/<product>/<sheet-name>.tif below OUT/<product>.vrt, listed in "
+        "OUT/sheets.gpkg; default: one file",
+        unit="m",
+        kind="length",
+    )
     sheet_name: str = setting(
         SHEET_NAME, "name of a sheet's file without its ending; fields: name (product), x and y (west and south edge), "
         "east and north, in units of the CRS, and x_km, y_km, east_km, north_km in thousands of them, with a format "
         "where wanted: {x_km:04.0f}", kind="template",
     )  # fmt: skip
-    resolution: Fraction | None = setting(None, "pixel size; default 1 m, or the spacing of the ground where that "
-                                          "is coarser", unit="m", kind="length")  # fmt: skip
-    tile_size: Fraction | None = setting(None, "side of a filter tile; default from density and memory",
-                                         unit="m", kind="length")  # fmt: skip
-    halo: Fraction | None = setting(None, "width of a tile's surroundings that the filter sees; default from the "
-                                    "method",
-                                    unit="m", kind="length")  # fmt: skip
+    resolution: Fraction | None = setting(
+        None,
+        "pixel size; default 1 m, or the spacing of the ground where that is coarser",
+        unit="m",
+        kind="length",
+    )
+    tile_size: Fraction | None = setting(
+        None, "side of a filter tile; default from density and memory", unit="m", kind="length"
+    )
+    halo: Fraction | None = setting(
+        None, "how far beyond its tile the filter looks; default from the method", unit="m", kind="length"
+    )
     max_edge: Fraction = setting(
         Fraction(100), "a pixel has no height where the triangle of ground points around it has a longer edge, or the "
         "circle through its corners a larger radius", unit="m", kind="length",
     )  # fmt: skip
-    interpolation: str = setting("linear", "heights between ground points: linear on the TIN, natural neighbours, or "
-                                 "idw (12 nearest, 1 / squared distance); all fill the same pixels", kind="choice",
-                                 choices=("linear", "natural", "idw"))  # fmt: skip
-    surface: str | None = setting(None, "ground points that make the DTM: all, or one in each cell of half a pixel, "
-                                  "that at the median or a percentile (p10) of the heights; default: all, or the "
-                                  "median where the cloud is taken for matched", kind="surface")  # fmt: skip
-    erode: Fraction | None = setting(None, "leave out ground points this near to a point of an object at least 1 m "
-                                     "higher: stumps of walls in matched clouds; default: 0, or 0.5 m where the cloud "
-                                     "is taken for matched", unit="m", kind="length")  # fmt: skip
-    voids: str = setting("leave", "pixels beyond `max-edge` inside the survey: leave (no height), fill (from "
-                         "their rim), or mark (fill, and write the mask)", kind="choice",
-                         choices=("leave", "fill", "mark"))  # fmt: skip
+    interpolation: str = setting(
+        "linear",
+        "heights between ground points: linear on the TIN, natural neighbours, or "
+        "idw (12 nearest, 1 / squared distance); all give heights to the same pixels",
+        kind="choice",
+        choices=("linear", "natural", "idw"),
+    )
+    surface: str | None = setting(
+        None,
+        "ground points that make the DTM: all, or one in each cell of half a pixel, "
+        "that at the median or a percentile (p10) of the heights; default: all, or the "
+        "median where the cloud is taken for image matching",
+        kind="surface",
+    )
+    erode: Fraction | None = setting(
+        None,
+        "leave out ground points nearer than this to an object at least 1 m higher, "
+        "such as stumps of walls in image matching; default: 0, or 0.5 m where the cloud "
+        "is taken for image matching",
+        unit="m",
+        kind="length",
+    )
+    voids: str = setting(
+        "leave",
+        "holes inside the survey that are wider than `max-edge`: leave (no heights), fill "
+        "(from their rim), or mark (fill, and write the mask)",
+        kind="choice",
+        choices=("leave", "fill", "mark"),
+    )
     breaklines: tuple[str, ...] = setting(
         (), "file of lines in 3D, or with a height in a column (z, elevation), in any CRS, that the terrain follows; "
         "ground nearer to them than half a pixel is left out", kind="files",
     )  # fmt: skip
     edits: str | None = setting(
         None, "file of polygons, in any CRS, with a column `action`: not_ground (no point inside is ground), ground "
-        "(points inside that the input calls so are, or else the lowest of each pixel), void (no height), flat (the "
-        "height in the column z); default: none", kind="file",
+        "(the points inside that the input has as ground, or where it has none the lowest of each pixel), void (no "
+        "height), flat (the height in the column z); default: none", kind="file",
     )  # fmt: skip
     water: str = setting(
         "none", "bodies of water, level in the terrain (lakes) or falling along their flow (rivers): none, auto (found "
@@ -123,16 +148,29 @@ class RunConfig:
         "at most", unit="m", kind="length",
     )  # fmt: skip
     contour_smooth: Fraction | None = setting(
-        None, "heights are averaged for the contours by a Gaussian of this standard deviation; 0: not at all; default: "
+        None, "smooth the heights for the contours by a Gaussian of this standard deviation; 0: not at all; default: "
         "2 pixels", unit="m", kind="length",
     )  # fmt: skip
-    outline: str = setting("survey", "where heights end: at the survey, the places with points and gaps of up to 20 m "
-                           "between them (more where points are sparse), or at the hull of facets up to `max-edge`",
-                           kind="choice", choices=("survey", "hull"))  # fmt: skip
-    spike: Fraction = setting(Fraction(5), "the DSM leaves out a pixel's highest return if it rises this far above "
-                              "all returns around it (next pixels, at least 1 m)", unit="m", kind="length")  # fmt: skip
-    memory: int | None = setting(None, "memory of one worker; default: half of the machine's or container's by "
-                                 "workers, 4 GiB at most", unit="bytes", kind="bytes")  # fmt: skip
+    outline: str = setting(
+        "survey",
+        "where heights end: at the survey, the places with points and gaps of up to 20 m "
+        "between them (more where points are sparse), or at the hull of facets up to `max-edge`",
+        kind="choice",
+        choices=("survey", "hull"),
+    )
+    spike: Fraction = setting(
+        Fraction(5),
+        "the DSM leaves out a pixel's highest return if it rises this far above "
+        "all returns around it (next pixels, at least 1 m)",
+        unit="m",
+        kind="length",
+    )
+    memory: int | None = setting(
+        None,
+        "memory of one worker; default: half of the machine's or container's by workers, 4 GiB at most",
+        unit="bytes",
+        kind="bytes",
+    )
     workers: int | None = setting(None, "worker processes, one thread each; default: cores", kind="int")
     in_process: bool = setting(
         False,
@@ -156,32 +194,57 @@ class RunConfig:
     units: str | None = setting(
         None, "units of the coordinates, h or h,v (m, ft, usft); default: those of the CRS"
     )
-    bounds: tuple[float, float, float, float] | None = setting(None, "only this part: X0 Y0 X1 Y1 in CRS units; "
-                                                               "what lies around it is read as far as it matters; "
-                                                               "default: everything",
-                                                               kind="bounds")  # fmt: skip
-    aoi: str | None = setting(None, "only the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; as --bounds; "
-                              "default: everything", kind="file")  # fmt: skip
-    keep_classes: tuple[int, ...] = setting((7, 9, 17, 18), "classes that take no part in filtering and are "
-                                            "never overwritten; `none`: the filter sees no class of the input, as a "
-                                            "fair test on labelled clouds needs", kind="classes")  # fmt: skip
+    bounds: tuple[float, float, float, float] | None = setting(
+        None,
+        "only this part: X0 Y0 X1 Y1 in CRS units; "
+        "what lies around it is read as far as it matters; "
+        "default: everything",
+        kind="bounds",
+    )
+    aoi: str | None = setting(
+        None,
+        "only the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; as --bounds; "
+        "default: everything",
+        kind="file",
+    )
+    keep_classes: tuple[int, ...] = setting(
+        (7, 9, 17, 18),
+        "classes that take no part in filtering and are "
+        "never overwritten; `none`: the classes of the input are ignored, as a fair "
+        "test on a labelled cloud needs",
+        kind="classes",
+    )
     skip_synthetic: bool = setting(False, "synthetic points take no part in filtering", kind="flag")
     skip_overlap: bool = setting(False, "overlap points take no part in filtering", kind="flag")
-    sigma: Fraction | None = setting(None, "noise of heights, for methods that need it; default: estimated from planar "
-                                     "patches", unit="m", kind="length")  # fmt: skip
+    sigma: Fraction | None = setting(
+        None,
+        "standard deviation of the noise of heights, for methods that need it; default: "
+        "estimated from planar patches",
+        unit="m",
+        kind="length",
+    )
     kind: str | None = setting(
         None, "what made the cloud, a laser scanner (als) or matching of images from drones or aircraft (dim), for "
         "methods that treat them differently; default: decided from the data", kind="choice", choices=("als", "dim"),
     )  # fmt: skip
     statistics: str | None = setting(
         None,
-        "OUT folder of an earlier run of the same method, whose run-wide statistics are used; default: this run's own",
+        "OUT folder of an earlier run of the same method, of which this one takes what is decided once a run (noise, "
+        "thresholds); default: this run's own",
     )
-    nodata: float = setting(NODATA, "value of pixels without a height in rasters of heights and slopes (-999999 for "
-                            "USGS)", unit="as the raster", kind="nodata")  # fmt: skip
+    nodata: float = setting(
+        NODATA,
+        "value of pixels without a height in rasters of heights and slopes (-999999 for USGS)",
+        unit="as the raster",
+        kind="nodata",
+    )
     compress: str = setting("deflate", "compression of rasters", kind="choice", choices=("deflate", "zstd"))
-    on_error: str = setting("skip", "a broken file or tile is left out (exit code 5), or stops the run", kind="choice",
-                            choices=("skip", "stop"))  # fmt: skip
+    on_error: str = setting(
+        "skip",
+        "what becomes of a broken file or tile: skip it (exit code 5), or stop the run",
+        kind="choice",
+        choices=("skip", "stop"),
+    )
     salvage: bool = setting(
         False, "read what is left of a truncated file instead of leaving it out", kind="flag"
     )
@@ -189,7 +252,7 @@ class RunConfig:
         False, "read all inputs and outputs again to see whether they changed", kind="flag"
     )
     overwrite: bool = setting(False, "start afresh instead of resuming with what OUT holds", kind="flag")
-    force: bool = setting(False, "outputs may replace files that no run of this OUT made", kind="flag")
+    force: bool = setting(False, "replace files in OUT that no run of this OUT wrote", kind="flag")
     clean_store: bool = setting(False, "remove the store when the run is done", kind="flag")
 
     @property
@@ -239,56 +302,9 @@ class RunConfig:
         for name in data:
             if name not in known:
                 raise ConfigError(f"unknown setting {name!r}; `tiler config --template` lists them")
-        given = _over_preset(data)
+        given = over_preset(data)
         return cls(**{name: parse_value(known[name], value) for name, value in given.items()})
 
     def updated(self, **changes: Any) -> RunConfig:
         """A copy with these fields (already parsed) replaced."""
         return dataclasses.replace(self, **changes)
-
-
-def _over_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The settings given over those of their preset, whose parameters are left out if they are another method's."""
-    if data.get("preset") is None:
-        return data
-    base = load_preset(data["preset"])
-    if data.get("method", base.get("method")) != base.get("method"):
-        base.pop("parameters", None)
-    found = base | dict(data)
-    found["parameters"] = merged_pairs(base.get("parameters", {}), data.get("parameters", {}))
-    return found
-
-
-def merged_pairs(base: Any, given: Any) -> dict[str, str]:
-    """``name=value`` settings of a method, the given ones over the others, with or without the unit of a name."""
-    over = dict(parse_pairs(given))
-    bare = {_without_unit(name) for name in over}
-    return {k: v for k, v in parse_pairs(base) if _without_unit(k) not in bare} | over
-
-
-def _without_unit(name: str) -> str:
-    for suffix in UNIT_SUFFIXES:
-        name = name.removesuffix(suffix)
-    return name
-
-
-MOST_BYTES = 1 << 20
-"""Of a file of settings: what is read of another file is bounded."""
-
-
-def load_config(path: Path) -> dict[str, Any]:
-    """The settings of a TOML file as plain values; a table ``[parameters]`` holds those of the method."""
-    import tomllib
-
-    try:
-        with open(path, "rb") as stream:
-            content = stream.read(MOST_BYTES + 1)
-        if len(content) > MOST_BYTES:
-            raise ConfigError(f"{path}: more than {MOST_BYTES >> 20} MiB; name a TOML file of settings")
-        return tomllib.loads(content.decode("utf-8-sig"))  # editors of Windows begin files with a mark
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; name a readable TOML file") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is no UTF-8; save the file as UTF-8") from error
-    except (ValueError, RecursionError) as error:  # of numbers and nesting without end as well
-        raise ConfigError(f"{path}: not valid TOML: {error}") from error

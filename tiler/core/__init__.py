@@ -1,1 +1,1 @@
-"""The nouns: units, frames, lattices, tiles, points, rasters, classes. Numpy only, and pyproj for CRS."""
+"""Basic types: units, frames, lattices, points, rasters, classes, products. Numpy only, and pyproj for CRS."""

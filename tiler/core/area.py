@@ -1,4 +1,4 @@
-"""The part of the plane that a run is about: polygons in absolute counts, exact to the count."""
+"""The area of interest of a run: polygons in absolute counts, exact to the count."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the stages of a run are called for people; their keys in the store, run.json and the events are others."""
+"""Titles of the stages for people; their keys in the store, run.json and the events are others."""
 
 from __future__ import annotations
 

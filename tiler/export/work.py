@@ -1,4 +1,4 @@
-"""What the tasks that write files are to do: one frozen dataclass for each kind of file."""
+"""Arguments of the tasks that write files: one frozen dataclass for each kind of file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the task of a tile is to do: a pass, the buckets that it labels, and what it reads and writes."""
+"""Arguments of the task of a tile: the pass, the buckets that it labels, and what it reads and writes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The line along which a river flows: a way through the middle of its polygon, between its two ends."""
+"""Finds the line along which a river flows: through the middle of its polygon, from end to end."""
 
 from __future__ import annotations
 

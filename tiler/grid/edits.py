@@ -1,4 +1,4 @@
-"""What a correction of points finds inside: how many points were ground before it, and how many are after it."""
+"""Counts the ground points inside a correction before and after it."""
 
 from __future__ import annotations
 

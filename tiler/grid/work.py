@@ -1,4 +1,4 @@
-"""What the tasks of the rasters are to do: one frozen dataclass for each kind of work."""
+"""Arguments of the tasks that make rasters: one frozen dataclass for each kind of work."""
 
 from __future__ import annotations
 

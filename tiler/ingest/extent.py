@@ -1,4 +1,4 @@
-"""Where the points of a file lie: the bounds of its header, held against its points."""
+"""Bounds of a file's points: those of its header, checked against the points."""
 
 from __future__ import annotations
 

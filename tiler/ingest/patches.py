@@ -1,4 +1,4 @@
-"""How a file's points are spread, from a few runs of successive points: patches of even density.
+"""Estimates where a file's points lie and how dense they are, from a few runs of successive points.
 
 The mean over a file's bounds says little where flight strips run diagonally, or cross. A run of successive points shows
 the density where it lies (or, where the order of the file is random, the whole of it).

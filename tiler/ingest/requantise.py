@@ -1,4 +1,4 @@
-"""From a source's own integers to absolute counts of 1/1000 unit, exact for decimal scales and offsets."""
+"""Converts the integers of a source to absolute counts of 1/1000 unit, exactly for decimal scales and offsets."""
 
 from __future__ import annotations
 

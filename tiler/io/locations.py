@@ -1,4 +1,4 @@
-"""Where things lie: on a path, or at a URL that fsspec knows; clouds are read from both alike."""
+"""Paths and URLs as one: what lies at a local path or at a URL (fsspec) is found, listed, moved and written alike."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The part of the plane that a run is about, from ``--bounds`` or ``--aoi``."""
+"""The area of interest of a run, from ``--bounds`` or ``--aoi``."""
 
 from __future__ import annotations
 

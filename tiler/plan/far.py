@@ -1,4 +1,4 @@
-"""Finds files so far from all others that no run, or no single raster, can hold them together.
+"""Finds files so far from all others that one run, or one raster, cannot hold them together.
 
 Nobody can tell absurd coordinates from a second site by the numbers alone. So nothing is left out while all of it can
 be done. Where it cannot, the part with most files is what the run is about, and others are left out if they are few

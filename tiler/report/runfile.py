@@ -1,4 +1,4 @@
-"""``run.json``: valid while the run works and after a crash, since each version replaces the last one whole."""
+"""Writes ``run.json`` so that it is whole and valid at any time, also after a crash."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small and equal executors: in this process, or on Dask workers, of this machine or of a cluster."""
+"""Executors of tasks, interchangeable: in this process, or on Dask workers of this machine or of a cluster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading what somebody else wrote: in a child process, bounded in time and memory, whatever the file holds."""
+"""Reads files of unknown origin in a child process with limits of time and memory."""
 
 from __future__ import annotations
 

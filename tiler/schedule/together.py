@@ -1,4 +1,4 @@
-"""Many guarded calls at a time, each in the child process of a thread; their results come in the order of the calls."""
+"""Runs guarded calls in parallel, each in a child process; results come in the order of the calls."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frame, lattices and colours of a store, fixed when it is made."""
+"""Frame and lattices of a store, and whether it has colours: fixed when it is made."""
 
 from __future__ import annotations
 

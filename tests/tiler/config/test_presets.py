@@ -65,7 +65,7 @@ def test_order_is_default_preset_file_option(tmp_path: Path) -> None:
 
 def test_parameters_of_a_preset_go_with_its_method(monkeypatch: pytest.MonkeyPatch) -> None:
     base = {"method": "chen2023", "parameters": {"max_building_size": 60, "rounds": 5}}
-    monkeypatch.setattr("tiler.config.settings.load_preset", lambda name: {**base})
+    monkeypatch.setattr("tiler.config.sources.load_preset", lambda name: {**base})
     assert dict(RunConfig.from_mapping({"preset": "x"}).parameters) == {
         "max_building_size": "60",
         "rounds": "5",

@@ -1,4 +1,4 @@
-"""LAS headers: every claim is held against the file before anything believes it.
+"""Reads LAS headers, and checks everything they say against the file.
 
 LAS specification 1.4 R15, tables 3 (header), 5 (VLR) and 6 (EVLR); LAS 1.0 to 1.3 are prefixes of it.
 """

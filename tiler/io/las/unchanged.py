@@ -1,4 +1,4 @@
-"""Whether a file is still the one that the plan read: the tasks of a run read it again, and some time later."""
+"""Checks that an input is still the file that the plan read, when a task reads it again later."""
 
 from __future__ import annotations
 
