@@ -6,8 +6,12 @@ The factors were measured: peak resident memory of workers over the points of th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
 
 FINE_CELL_M = Fraction(1, 2)
 """Side of the store's cells, each with one candidate."""
@@ -28,6 +32,9 @@ SPOOL_POINT_BYTES = 160
 """Per point while its piece is decoded and sorted."""
 GROUND_BYTES = 200
 """Per ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
+PIECE_BYTES, NEAR_PIECE_BYTES = 160, 650
+"""Per piece of a breakline, of all in the run and of those in a block's window: 460 measured while they are looked up,
+and a vertex of the TIN."""
 EXPORT_BYTES = 128 << 20
 """A worker that writes a file: GDAL's blocks, or the records of a classified cloud in hand."""
 EXPORT_POINTS = 1 << 27
@@ -70,6 +77,32 @@ class PlannedPass:
     sometimes: bool = False
     kind: str | None = None
     raster_cell_m: float = 0.0
+
+
+def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window: float) -> int:
+    """Of breaklines that are divided into pieces of half a pixel or more, in the fullest window.
+
+    Parameters
+    ----------
+    lines : sequence of int64 (n, 3)
+        Vertices in counts.
+    pixel, window : float
+        Counts: side of a pixel, and of the window of a block.
+    """
+    if not lines:
+        return 0
+    ends = [(line[:-1, :2], line[1:, :2]) for line in lines]
+    start, stop = (np.concatenate(part).astype(np.float64) for part in zip(*ends, strict=True))
+    pieces = np.maximum(2 * np.hypot(*(stop - start).T) / pixel, 1)
+    # A window touches no more than two by two squares of its side.
+    squares, which = np.unique(np.floor((start + stop) / 2 / window), axis=0, return_inverse=True)
+    held = dict(zip(map(tuple, squares.tolist()), np.bincount(which.ravel(), pieces), strict=True))
+    most = max(
+        sum(held.get((x + right, y + up), 0.0) for right in (0, 1) for up in (0, 1))
+        for x0, y0 in held
+        for x, y in ((x0, y0), (x0 - 1, y0), (x0, y0 - 1), (x0 - 1, y0 - 1))
+    )
+    return int(PIECE_BYTES * pieces.sum() + NEAR_PIECE_BYTES * most)
 
 
 def nested(cell_m: float) -> bool:

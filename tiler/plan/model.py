@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from tiler.core.area import Area, Runs
 from tiler.core.breaklines import Counts
 from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds
+from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.stage_names import stage_title
 from tiler.core.water import Water
 from tiler.grid import SMALLEST_PART
@@ -25,6 +27,7 @@ from tiler.plan.memory import (
     EXPORT_POINTS,
     GROUND_BYTES,
     PlannedPass,
+    breakline_bytes,
     bucket_bytes,
     filter_bytes,
     held_bytes,
@@ -238,7 +241,7 @@ class Plan:
     @property
     def block_points(self) -> int:
         """Points in the window of a block above which it is done in parts."""
-        return max((self.memory - BASE_BYTES) // GROUND_BYTES, MAX_GROUND // 8)
+        return max((self.memory - BASE_BYTES - self.line_bytes) // GROUND_BYTES, MAX_GROUND // 8)
 
     @property
     def halo_m(self) -> float:
@@ -272,9 +275,18 @@ class Plan:
             "ingest": ingest_bytes(PIECE_POINTS, self.fullest_bucket),
             "filter": max((self._projected_filter(step) for step in self.likely), default=0),
             "grid": BASE_BYTES
-            + int(min(self.points, max(self.block_points, self.fullest_part))) * GROUND_BYTES,
+            + int(min(self.points, max(self.block_points, self.fullest_part))) * GROUND_BYTES
+            + self.line_bytes,
             "export": BASE_BYTES + EXPORT_BYTES + min(max(s.points for s in self.sources), EXPORT_POINTS),
         }
+
+    @cached_property
+    def line_bytes(self) -> int:
+        """What a worker needs for the lines that the terrain follows."""
+        frame, window_m = self.meta.frame, Fraction(self._part_side_m(BLOCK_PIXELS))
+        return breakline_bytes(
+            self.lines, float(frame.counts(self.resolution)), float(frame.counts(window_m))
+        )
 
     def _projected_filter(self, step: PlannedPass) -> int:
         """Peak bytes of a pass: mean tile with widest halo or fullest one, divided until it fits or is one bucket."""
