@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from ptd.kernel import kernel, wide
 
@@ -36,7 +36,7 @@ def _update(top: Int32, pixels: Int64, x: Int32, y: Int32, z: Int32) -> None:
         if pz == first[2] and px == first[0] and py == first[1]:
             continue  # the same return once more is no second one
         if _higher(px, py, pz, wide(first[0]), wide(first[1]), wide(first[2])):
-            second[:] = first
+            second[0], second[1], second[2] = first[0], first[1], first[2]
             first[0], first[1], first[2] = px, py, pz
         elif _higher(px, py, pz, wide(second[0]), wide(second[1]), wide(second[2])):
             second[0], second[1], second[2] = px, py, pz
@@ -95,7 +95,9 @@ class HighestReturns:
         heights = first[:, 2].reshape(self.rows, self.columns)
         around = np.ones((2 * reach + 1, 2 * reach + 1), np.bool_)
         around[reach, reach] = False
-        beside = ndimage.maximum_filter(heights, footprint=around, mode="constant", cval=NOTHING).ravel()
+        beside = scipy.ndimage.maximum_filter(
+            heights, footprint=around, mode="constant", cval=NOTHING
+        ).ravel()
         limit = math.floor(spike)
         others = np.maximum(beside, second[:, 2]).astype(np.int64)
         alone = others == NOTHING

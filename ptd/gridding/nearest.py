@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from ptd.cells import Xyz
 from ptd.kernel import kernel, wide
@@ -210,7 +210,7 @@ def nearest_points(x: Int32, y: Int32, z: Int32, pixels: Pixels, k: int, reach: 
     if order.size == 0:
         return Nearest(squared, index)
     occupied = (np.diff(starts) > 0).reshape(height, width)
-    empty = ndimage.distance_transform_cdt(~occupied, metric="chessboard")
+    empty = scipy.ndimage.distance_transform_cdt(~occupied, metric="chessboard")
     bins = _Bins(starts, order, empty, pad)
     _search(Xyz(x, y, z), bins, pixels.lattice, float(reach), squared, index)
     return Nearest(squared, index)

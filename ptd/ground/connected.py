@@ -47,7 +47,9 @@ def connected_surfaces(
     if tilts is None:
         block = max(*heights.shape, 1)
         tilts = np.zeros((1, 1), np.int64), np.zeros((1, 1), np.int64)
-    return _fill(np.ascontiguousarray(heights), straight, diagonal, gap, tilts[0], tilts[1], block)
+    return _fill(
+        np.ascontiguousarray(heights), float(straight), float(diagonal), gap, tilts[0], tilts[1], block
+    )
 
 
 @kernel

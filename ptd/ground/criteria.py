@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import Scale
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
@@ -139,7 +139,10 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
         higher = vertices[4 * v + 2] > vertices[4 * top + 2]
         tie = vertices[4 * v + 2] == vertices[4 * top + 2]
         left = lexicographic_less(
-            vertices[4 * v], vertices[4 * v + 1], vertices[4 * top], vertices[4 * top + 1]
+            wide(vertices[4 * v]),
+            wide(vertices[4 * v + 1]),
+            wide(vertices[4 * top]),
+            wide(vertices[4 * top + 1]),
         )
         if higher or (tie and left):
             top = v

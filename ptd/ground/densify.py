@@ -65,7 +65,7 @@ def _test_round(
     x, y, z = points
     state, home, again, doubtful = candidates
     n_chosen = 0
-    t = 0
+    t = wide(0)
     for i in range(x.size):
         if state[i] != 0:
             continue
@@ -74,12 +74,13 @@ def _test_round(
         if home[i] >= 0 and not again[i] and triangles[8 * t + STAMP] < stamp - 1:
             doubtful[i] = doubtful[i] or in_doubt[t] != 0
             continue
-        t = locate(vertices, triangles, x[i], y[i], t)
+        px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
+        t = locate(vertices, triangles, px, py, t)
         home[i] = t
         if is_ghost(triangles, t):
             doubtful[i] = doubtful[i] or in_doubt[t] != 0
             continue
-        passed, elsewhere, unsure = accepts(vertices, triangles, t, x[i], y[i], z[i], limits, in_doubt)
+        passed, elsewhere, unsure = accepts(vertices, triangles, t, px, py, pz, limits, in_doubt)
         again[i] = elsewhere
         doubtful[i] = doubtful[i] or unsure
         if passed:
@@ -101,12 +102,12 @@ def _insert_points(
     stamp: int,
 ) -> None:
     """Insert the chosen points; `home` holds a triangle near each, or -1."""
-    hint = 0
+    hint = wide(0)
     for k in range(chosen.size):
         i = chosen[k]
         if home[i] >= 0:
             hint = wide(home[i])
-        v = insert(vertices, triangles, counters, x[i], y[i], z[i], hint, stamp)
+        v = insert(vertices, triangles, counters, wide(x[i]), wide(y[i]), wide(z[i]), hint, stamp)
         hint = wide(max(vertices[4 * v + 3], 0))
 
 

@@ -12,7 +12,7 @@ from ptd.cells import CellIndex, Int32, Xyz
 from ptd.frame import Cells
 from ptd.ground.certificates import UInt8
 from ptd.ground.criteria import Limits, across, facet_measures, judge
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 from ptd.passes import Points
 from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.location import coincident_vertex, locate
@@ -117,17 +117,18 @@ def _label(
     x, y, z = points
     labels, marked = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
     for i in range(x.size):
-        t = locate(vertices, triangles, x[i], y[i], start_near(locator, x[i], y[i]))
+        px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
+        t = locate(vertices, triangles, px, py, wide(start_near(locator, x[i], y[i])))
         if rule.vertices_only and (
-            is_ghost(triangles, t) or coincident_vertex(vertices, triangles, x[i], y[i], t) < 0
+            is_ghost(triangles, t) or coincident_vertex(vertices, triangles, px, py, t) < 0
         ):
             labels[i], marked[i] = UNCLASSIFIED, in_doubt[t] != 0
             continue
         if rule.heights_only:
-            terrain, marked[i] = _is_near(vertices, triangles, t, x[i], y[i], z[i], in_doubt, rule)
+            terrain, marked[i] = _is_near(vertices, triangles, t, px, py, pz, in_doubt, rule)
         else:
             terrain, _elsewhere, marked[i] = is_terrain(
-                vertices, triangles, t, x[i], y[i], z[i], in_doubt, rule.limits, rule.floor
+                vertices, triangles, t, px, py, pz, in_doubt, rule.limits, rule.floor
             )
         labels[i] = GROUND if terrain else UNCLASSIFIED
     return labels, marked

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from ptd.frame import Scale
 from ptd.ground.morphology import EMPTY, Bool, Float64
@@ -60,23 +60,23 @@ def left_roofs(heights: Float64, cell_m: float = ROOF_CELL_M, least_m: float = 0
         rule = Plateaus.of(MILLIMETRES, WIDEST_M, step_m, cell_m)
         ground = np.where(found | (rises > step_m), EMPTY, counts).astype(np.int32)
         found |= plateaus(ground, rule, found, known)
-    numbers, _ = ndimage.label(found, np.ones((3, 3)))
-    boxes = ndimage.find_objects(numbers)
+    numbers, _ = scipy.ndimage.label(found, np.ones((3, 3)))
+    boxes = scipy.ndimage.find_objects(numbers)
     roofs = (_measured(numbers[box] == number, box, cell_m) for number, box in enumerate(boxes, start=1))
     return [roof for roof in roofs if roof.width_m >= least_m]
 
 
 def _rises(heights: Float64, known: Bool) -> Float64:
     """The largest difference of each known height to those beside it."""
-    highest = ndimage.maximum_filter(np.where(known, heights, -np.inf), 3)
-    lowest = ndimage.minimum_filter(np.where(known, heights, np.inf), 3)
+    highest = scipy.ndimage.maximum_filter(np.where(known, heights, -np.inf), 3)
+    lowest = scipy.ndimage.minimum_filter(np.where(known, heights, np.inf), 3)
     rises: Float64 = np.maximum(highest - heights, heights - lowest)
     return rises
 
 
 def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> LeftRoof:
     """A roof from its cells, around which a row of its edge was too steep to be found."""
-    depth = ndimage.distance_transform_edt(np.pad(piece, 1))
+    depth = scipy.ndimage.distance_transform_edt(np.pad(piece, 1))
     row, column = ((side.start + side.stop) / 2 for side in box)
     return LeftRoof(2 * (float(depth.max()) + 1) * cell_m, row, column)
 

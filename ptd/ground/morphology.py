@@ -72,7 +72,8 @@ def _fill_runs(runs: Int32, row: Int32, radius: int) -> None:
     """``runs[k, i]``: the minimum of the 2**k cells from i on of a row with `radius` empty cells at both ends."""
     width = row.size
     runs[:, :] = EMPTY
-    runs[0, radius : radius + width] = row
+    for i in range(width):
+        runs[0, radius + i] = row[i]
     for k in range(1, runs.shape[0]):
         half = 1 << (k - 1)
         n = runs.shape[1] - half
@@ -85,12 +86,12 @@ def _fill_runs(runs: Int32, row: Int32, radius: int) -> None:
 def _disk_minimum(heights: Int32, half_widths: Int64, levels: Int64, out: Int32) -> None:
     """Each chord of the disk is covered by two runs of 2**level cells (Urbach and Wilkinson 2008).
 
-    The runs of the rows that the disk touches go round in a buffer that stays in the cache.
+    The first chord is the widest. Runs of the rows that the disk touches go round in a buffer that stays in the cache.
     """
     height, width = heights.shape
     radius = half_widths.size - 1
     span = 2 * radius + 1
-    buffer = np.full((span, levels.max() + 1, width + 2 * radius), EMPTY, np.int32)
+    buffer = np.full((span, levels[0] + 1, width + 2 * radius), EMPTY, np.int32)
     for row in range(-radius, height):
         if row + radius < height:
             _fill_runs(buffer[(row + radius) % span], heights[row + radius], radius)

@@ -19,7 +19,7 @@ from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import maximum_filter
+import scipy
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
@@ -150,7 +150,7 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
     data = np.zeros(heights.size, np.bool_)
     data[raster.keys] = True
     roof = plateaus(heights, rule, removed.reshape(heights.shape), data.reshape(heights.shape))
-    beside = maximum_filter(roof, size=3, mode="constant", cval=False)
+    beside = scipy.ndimage.maximum_filter(roof, size=3, mode="constant", cval=False)
     higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.fall
     found: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
     return found

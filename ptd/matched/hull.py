@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+import scipy
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
@@ -103,7 +103,7 @@ def tilts(heights: Int32, std_blocks: float) -> tuple[Int64, Int64]:
 
 
 def _smooth(values: Float64, std: float) -> Float64:
-    found: Float64 = gaussian_filter(values, std, mode="constant", radius=TILT_RADIUS)
+    found: Float64 = scipy.ndimage.gaussian_filter(values, std, mode="constant", radius=TILT_RADIUS)
     return found
 
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import correlate1d, maximum_filter, minimum_filter
+import scipy
 
 from ptd.cells import Int32
 from ptd.frame import Scale
@@ -134,8 +134,8 @@ def smoothed(values: Float64, std_m: float) -> Float64:
     radius = _radius(std_m)
     weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / std) ** 2)
     weights /= weights.sum()
-    along: Float64 = correlate1d(values, weights, axis=1, mode="constant")
-    found: Float64 = correlate1d(along, weights, axis=0, mode="constant")
+    along: Float64 = scipy.ndimage.correlate1d(values, weights, axis=1, mode="constant")
+    found: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
     return found
 
 
@@ -256,8 +256,8 @@ def _bent(cells: _Cells, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m
             continue
         raised = np.maximum(hull(rule) - surface, 0.0)
         if crests:
-            least = minimum_filter(raised, CREST_CELLS, mode="constant")
-            wide = maximum_filter(least, CREST_CELLS, mode="constant")
+            least = scipy.ndimage.minimum_filter(raised, CREST_CELLS, mode="constant")
+            wide = scipy.ndimage.maximum_filter(least, CREST_CELLS, mode="constant")
             raised = wide + _ramp(slope, CREST_SLOPE) * (raised - wide)
         ridges = surface + raised
         counted = 1.0 - terrain * _ramp(slope, STEEP)
@@ -289,7 +289,7 @@ def _refined(cells: _Cells, surface: Float64, sigma_m: float) -> tuple[Float64, 
         residual = cells.height - surface
         weight = np.where(cells.there & (residual < above) & (residual > -below), 1.0, 0.0)
         if k >= PLAIN_ROUNDS:
-            objects = maximum_filter(cells.there & (residual >= above), 3, mode="constant")
+            objects = scipy.ndimage.maximum_filter(cells.there & (residual >= above), 3, mode="constant")
             weight[objects & (residual > 0.0)] *= BESIDE
         for std_m in SCALES_M:
             mean = smoothed(weight * (cells.height - surface), std_m) / (smoothed(weight, std_m) + FEW)

@@ -84,7 +84,7 @@ def _insert_flat(
     vertices: Int32Array, triangles: Int32Array, counters: Int32Array, x: int, y: int, z: int, stamp: int
 ) -> int:
     """`insert` as long as all vertices are collinear: a list, searched from end to end."""
-    n = int(counters[N_VERTICES])
+    n = wide(counters[N_VERTICES])
     for v in range(n):
         if vertices[4 * v] == x and vertices[4 * v + 1] == y:
             lowered = lower_vertex(vertices, triangles, counters, v, z, stamp)
@@ -100,9 +100,10 @@ def _insert_flat(
     counters[N_VERTICES] = n + 1
     counters[EVENT] = EVENT_NEW
     if n >= 2 and cross_at(x, y, vertices[0], vertices[1], vertices[4], vertices[5]) != 0:
-        start_triangulation(vertices, triangles, counters, 0, 1, n, stamp)
+        start_triangulation(vertices, triangles, counters, wide(0), wide(1), n, stamp)
         for v in range(2, n):
-            first = walk(vertices, triangles, vertices[4 * v], vertices[4 * v + 1], vertices[4 * v - 1])
+            px, py = wide(vertices[4 * v]), wide(vertices[4 * v + 1])
+            first = walk(vertices, triangles, px, py, wide(vertices[4 * v - 1]))
             link_vertex(vertices, triangles, counters, v, first, stamp)
     return n
 
@@ -148,7 +149,7 @@ def insert(
         lowered = lower_vertex(vertices, triangles, counters, v, z, stamp)
         counters[EVENT] = EVENT_LOWERED if lowered else EVENT_KEPT
         return v
-    v = int(counters[N_VERTICES])
+    v = wide(counters[N_VERTICES])
     if 4 * v + 4 > vertices.size or 16 * v > triangles.size:
         counters[EVENT] = EVENT_FULL
         return -1

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ptd.kernel import kernel
 from ptd.tin.layout import Int32Array
 
-__all__ = ["curve_order", "round_order"]
+__all__ = ["curve_order", "round_order", "sorted_by_key"]
 
 UInt64Array = npt.NDArray[np.uint64]
 
@@ -69,7 +69,7 @@ def _curve_keys(x: Int32Array, y: Int32Array) -> UInt64Array:
 
 
 @kernel
-def _sorted_by_key(keys: UInt64Array) -> UInt64Array:
+def sorted_by_key(keys: UInt64Array) -> UInt64Array:
     """Stable radix sort of `keys` (overwritten) by their upper 32 bits; returns the sorted array."""
     other = np.empty_like(keys)
     count = np.empty(1 << _DIGIT_BITS, np.int64)
@@ -108,7 +108,7 @@ def curve_order(x: Int32Array, y: Int32Array) -> Int32Array:
     order = np.empty(x.size, np.int32)
     if x.size == 0:
         return order
-    keys = _sorted_by_key(_curve_keys(x, y))
+    keys = sorted_by_key(_curve_keys(x, y))
     for i in range(x.size):
         order[i] = keys[i] & np.uint64(0xFFFFFFFF)
     return order

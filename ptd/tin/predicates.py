@@ -16,7 +16,7 @@ and fast robust geometric predicates, 1997); the perturbation is that of Deville
 largest point moves most".
 """
 
-from ptd.kernel import kernel
+from ptd.kernel import kernel, wide
 
 __all__ = ["cross_at", "ghost_conflict", "in_circle", "lexicographic_less"]
 
@@ -74,11 +74,11 @@ def _in_circle_close(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bo
     # Four distinct points of one circle: no three are collinear, so none of the cross products is zero.
     if lexicographic_less(ax, ay, bx, by):
         if lexicographic_less(bx, by, cx, cy):
-            return lexicographic_less(0, 0, cx, cy) and ax * by - ay * bx > 0
-        return lexicographic_less(0, 0, bx, by) and cx * ay - cy * ax > 0
+            return lexicographic_less(wide(0), wide(0), cx, cy) and ax * by - ay * bx > 0
+        return lexicographic_less(wide(0), wide(0), bx, by) and cx * ay - cy * ax > 0
     if lexicographic_less(ax, ay, cx, cy):
-        return lexicographic_less(0, 0, cx, cy) and ax * by - ay * bx > 0
-    return lexicographic_less(0, 0, ax, ay) and bx * cy - by * cx > 0
+        return lexicographic_less(wide(0), wide(0), cx, cy) and ax * by - ay * bx > 0
+    return lexicographic_less(wide(0), wide(0), ax, ay) and bx * cy - by * cx > 0
 
 
 @kernel

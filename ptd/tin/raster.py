@@ -97,7 +97,10 @@ def _apex_first(vertices: Int32Array, triangles: Int32Array, edge: int) -> bool:
     """Whether the vertex opposite `edge` is lexicographically smaller than the one opposite its twin."""
     own, other = triangles[edge + 4], triangles[triangles[edge] + 4]
     return lexicographic_less(
-        vertices[4 * own], vertices[4 * own + 1], vertices[4 * other], vertices[4 * other + 1]
+        wide(vertices[4 * own]),
+        wide(vertices[4 * own + 1]),
+        wide(vertices[4 * other]),
+        wide(vertices[4 * other + 1]),
     )
 
 

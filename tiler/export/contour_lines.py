@@ -13,7 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -78,8 +78,8 @@ def smoothed(heights: Floats, sigma: float) -> Floats:
     known = ~np.isnan(heights)
     total, weight = np.where(known, heights, 0.0), known.astype(np.float64)
     for axis in (0, 1):
-        total = ndimage.correlate1d(total, weights, axis=axis, mode="constant")
-        weight = ndimage.correlate1d(weight, weights, axis=axis, mode="constant")
+        total = scipy.ndimage.correlate1d(total, weights, axis=axis, mode="constant")
+        weight = scipy.ndimage.correlate1d(weight, weights, axis=axis, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(known, total / weight, np.nan)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
@@ -70,7 +70,7 @@ class _Terrain:
         else:
             wet = waters.inside(self.spec, wide)
             found = np.where(wet, heights, smoothed(np.where(wet, np.nan, heights), sigma))
-            found[ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))] = np.nan
+            found[scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))] = np.nan
         return found[top : top + block.height, left : left + block.width]
 
     def relief(self) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 HIGH, LOW = "high", "low"
 
@@ -31,12 +31,12 @@ def spots_of_block(
     size, sign = 2 * reach + 1, 1.0 if kind == HIGH else -1.0
     known = ~np.isnan(heights)
     height = sign * heights
-    top = ndimage.maximum_filter(np.where(known, height, -np.inf), size, mode="nearest")
-    bottom = ndimage.minimum_filter(np.where(known, height, np.inf), size, mode="nearest")
+    top = scipy.ndimage.maximum_filter(np.where(known, height, -np.inf), size, mode="nearest")
+    bottom = scipy.ndimage.minimum_filter(np.where(known, height, np.inf), size, mode="nearest")
     chosen = known & (height == top) & (top - bottom >= least)
-    chosen &= ndimage.binary_erosion(known, np.ones((BESIDE, BESIDE), np.bool_))
+    chosen &= scipy.ndimage.binary_erosion(known, np.ones((BESIDE, BESIDE), np.bool_))
     # Of pixels of one height the first in the order of the raster; those that are chosen nearby are of one height.
     number = np.where(chosen, np.arange(heights.size).reshape(heights.shape), heights.size)
-    first = ndimage.minimum_filter(number, size, mode="nearest") == number
+    first = scipy.ndimage.minimum_filter(number, size, mode="nearest") == number
     rows, cols = np.nonzero(chosen & first)
     return rows, cols

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
+import scipy
 
 from tiler.core.area import Area
 
@@ -52,15 +51,17 @@ def course_of(shape: Any) -> Floats | None:
     height, width = math.ceil((north - south) / cell) + 2, math.ceil((east - west) / cell) + 2
     to_cells = Affine(cell, 0, west - cell, 0, -cell, north + cell)
     wet = rasterize([(shape, 1)], (height, width), transform=to_cells, all_touched=True, dtype="uint8") > 0
-    parts, number = ndimage.label(wet, np.ones((3, 3), np.bool_))
+    parts, number = scipy.ndimage.label(wet, np.ones((3, 3), np.bool_))
     if number == 0:
         return None
     wet = parts == np.bincount(parts.ravel())[1:].argmax() + 1
-    middle = ndimage.distance_transform_edt(np.pad(wet, 1))[1:-1, 1:-1]
+    middle = scipy.ndimage.distance_transform_edt(np.pad(wet, 1))[1:-1, 1:-1]
     cells, plain, central = _graph(wet, middle)
     start = _farthest(plain, _farthest(plain, 0))
     end = _farthest(plain, start)
-    _, before = csgraph.dijkstra(central, directed=False, indices=np.array([start]), return_predecessors=True)
+    _, before = scipy.sparse.csgraph.dijkstra(
+        central, directed=False, indices=np.array([start]), return_predecessors=True
+    )
     way = [end]
     while way[-1] != start:
         way.append(int(before[0, way[-1]]))
@@ -70,7 +71,8 @@ def course_of(shape: Any) -> Floats | None:
     if len(rows) < 3:
         return None
     smooth = [
-        ndimage.gaussian_filter1d(axis.astype(np.float64), half, mode="nearest") for axis in (cols, rows)
+        scipy.ndimage.gaussian_filter1d(axis.astype(np.float64), half, mode="nearest")
+        for axis in (cols, rows)
     ]
     x, y = west - cell + (smooth[0] + 0.5) * cell, north + cell - (smooth[1] + 0.5) * cell
     line = shapely.simplify(shapely.LineString(np.stack((x, y), axis=1)), cell / 2)
@@ -94,11 +96,11 @@ def _graph(wet: npt.NDArray[np.bool_], middle: Floats) -> tuple[Any, Any, Any]:
     a, b, length = np.concatenate(one), np.concatenate(other), np.concatenate(lengths)
     depth = middle[cells]
     size = (len(depth), len(depth))
-    plain = sparse.csr_array((length, (a, b)), size)
-    central = sparse.csr_array((length / (depth[a] * depth[b]), (a, b)), size)
+    plain = scipy.sparse.csr_array((length, (a, b)), size)
+    central = scipy.sparse.csr_array((length / (depth[a] * depth[b]), (a, b)), size)
     return cells, plain, central
 
 
 def _farthest(graph: Any, start: int) -> int:
-    distance = csgraph.dijkstra(graph, directed=False, indices=np.array([start]))[0]
+    distance = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=np.array([start]))[0]
     return int(np.where(np.isfinite(distance), distance, -1.0).argmax())

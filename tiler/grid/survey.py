@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from tiler.core.classes import WATER
 from tiler.core.lattice import Bounds
@@ -130,10 +130,10 @@ def survey_of(occupied: Bools, gap: float) -> npt.NDArray[np.uint8]:
     pad = int(np.ceil(radius)) + 1
     closed = np.pad(occupied, pad)
     if closed.any():
-        grown = ndimage.distance_transform_edt(~closed) <= radius
-        closed |= ndimage.distance_transform_edt(grown) > radius
-    whole = ndimage.binary_fill_holes(closed)
-    inner = ndimage.binary_erosion(whole, np.ones((3, 3), np.bool_))
+        grown = scipy.ndimage.distance_transform_edt(~closed) <= radius
+        closed |= scipy.ndimage.distance_transform_edt(grown) > radius
+    whole = scipy.ndimage.binary_fill_holes(closed)
+    inner = scipy.ndimage.binary_erosion(whole, np.ones((3, 3), np.bool_))
     values = np.select([inner & ~closed, inner, whole], [VOID, SURVEYED, BORDER], BEYOND)
     found: npt.NDArray[np.uint8] = values[pad:-pad, pad:-pad].astype(np.uint8)
     return found

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from ptd.tin import Tin, rasterise
 from tiler.core.frame import COUNTS_PER_UNIT
@@ -58,12 +58,12 @@ def find_voids(store_url: str, work: VoidRasters) -> dict[str, Any]:
         if len(rows):
             cell_rows, cell_cols = coarse_cells(coarse, spec, block)
             empty[cell_rows[rows], cell_cols[cols]] = True
-    numbers, _ = ndimage.label(empty, AROUND)
+    numbers, _ = scipy.ndimage.label(empty, AROUND)
     values = numbers.astype(np.float32)
     for b in coarse.blocks(BLOCK_PIXELS):
         store.write_block(work.numbers, b, values[b.row : b.row + b.height, b.col : b.col + b.width])
     boxes, blocks = [], []
-    for number, (down, right) in enumerate(ndimage.find_objects(numbers), start=1):
+    for number, (down, right) in enumerate(scipy.ndimage.find_objects(numbers), start=1):
         box = Block(down.start, right.start, down.stop - down.start, right.stop - right.start)
         boxes.append([box.row, box.col, box.height, box.width])
         blocks.append(block_runs(numbers[down, right] == number, _part(coarse, box), spec, PIECE, NEAR))
@@ -141,7 +141,7 @@ def _rim_of_piece(store: TileStore, rasters: VoidRasters, number: int, core: Blo
         return np.empty((3, 0), np.int64)
     heights = store.read_block(rasters.heights, wide)
     void = mine & _void(store, rasters, wide)
-    rim = ndimage.binary_dilation(void, AROUND) & (heights != np.float32(NODATA))
+    rim = scipy.ndimage.binary_dilation(void, AROUND) & (heights != np.float32(NODATA))
     rows, cols = np.nonzero(rim)
     rows, cols = rows + wide.row, cols + wide.col
     inside = (rows >= core.row) & (rows < core.row + core.height)

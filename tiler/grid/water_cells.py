@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
-from scipy.spatial import cKDTree
+import scipy
 
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
@@ -138,14 +137,14 @@ def find_water(cells: Cells, trusted: bool) -> Iterator[Found]:
     if trusted:
         some = cells.returns > 0
         total, held = (
-            ndimage.uniform_filter(v.astype(np.float64), SPARSE_CELLS) for v in (cells.returns, some)
+            scipy.ndimage.uniform_filter(v.astype(np.float64), SPARSE_CELLS) for v in (cells.returns, some)
         )
         sparse = total < SPARSE * _usual(cells) * held
         candidates |= cells.domain & (~some | (flat & sparse))
-    candidates = ndimage.binary_opening(candidates, disk(LEAST_WIDTH_M / 2 / cells.size))
-    candidates |= cells.given & ndimage.binary_dilation(candidates, np.ones((3, 3), np.bool_))
-    labels, _ = ndimage.label(candidates)
-    for number, window in enumerate(ndimage.find_objects(labels), start=1):
+    candidates = scipy.ndimage.binary_opening(candidates, disk(LEAST_WIDTH_M / 2 / cells.size))
+    candidates |= cells.given & scipy.ndimage.binary_dilation(candidates, np.ones((3, 3), np.bool_))
+    labels, _ = scipy.ndimage.label(candidates)
+    for number, window in enumerate(scipy.ndimage.find_objects(labels), start=1):
         wide = _padded(window, math.ceil(max(RING_M[1], GROW_M) / cells.size) + 1, labels.shape)
         found = _judged(_cut(cells, wide), labels[wide], number, flat[wide])
         if found is not None:
@@ -173,7 +172,7 @@ def _judged(cells: Cells, labels: npt.NDArray[Any], number: int, flat: Bools) ->
 
 def _rim(cells: Cells, mine: Bools, others: Bools) -> tuple[float, float] | None:
     """Shares of the land around an area that rise and that fall from its shore; None where too little is known."""
-    distance = ndimage.distance_transform_edt(~mine) * cells.size
+    distance = scipy.ndimage.distance_transform_edt(~mine) * cells.size
     land = ~np.isnan(cells.ground) & ~others & cells.domain
     beside = (distance > 0) & (distance <= SHORE_M + 0.1 * cells.size)
     shore, ring = beside & land & (cells.returns > 0), (distance > RING_M[0]) & (distance <= RING_M[1]) & land
@@ -184,7 +183,7 @@ def _rim(cells: Cells, mine: Bools, others: Bools) -> tuple[float, float] | None
     ):
         return None
     heights = cells.ground[shore]
-    _, near = cKDTree(np.argwhere(shore)).query(np.argwhere(ring), k=min(NEAREST, len(heights)))
+    _, near = scipy.spatial.cKDTree(np.argwhere(shore)).query(np.argwhere(ring), k=min(NEAREST, len(heights)))
     rise = cells.ground[ring] - np.percentile(heights[near], LOW_PERCENT, axis=1)
     return float((rise > RISE_M).mean()), float((rise < -FALL_M).mean())
 
@@ -192,18 +191,18 @@ def _rim(cells: Cells, mine: Bools, others: Bools) -> tuple[float, float] | None
 def _grown(cells: Cells, mine: Bools, flat: Bools) -> Bools:
     """An area of water with what is flat and no higher beside it, however many returns come from there."""
     known = mine & ~np.isnan(cells.ground)
-    distance = ndimage.distance_transform_edt(~mine) * cells.size
+    distance = scipy.ndimage.distance_transform_edt(~mine) * cells.size
     near = flat & cells.domain & (distance <= GROW_M) & ~mine
     places = np.argwhere(near)
     if not known.any() or not len(places):
         return mine
     inside = np.argwhere(known)
-    _, nearest = cKDTree(inside).query(places, k=min(NEAREST, len(inside)))
+    _, nearest = scipy.spatial.cKDTree(inside).query(places, k=min(NEAREST, len(inside)))
     level = np.median(cells.ground[known][nearest.reshape(len(places), -1)], axis=1)
     low = np.zeros_like(mine)
     low[near] = cells.ground[near] <= level + LEVEL_M
-    low = ndimage.binary_opening(low | mine, np.ones((3, 3), np.bool_)) | mine
-    grown: Bools = ndimage.binary_propagation(mine, mask=low)
+    low = scipy.ndimage.binary_opening(low | mine, np.ones((3, 3), np.bool_)) | mine
+    grown: Bools = scipy.ndimage.binary_propagation(mine, mask=low)
     return grown
 
 
@@ -212,19 +211,21 @@ def under_bridges(cells: Cells, water: Bools) -> Bools:
     pad = math.ceil(BRIDGE_M / cells.size)
     padded = np.pad(water, pad)
     radius = BRIDGE_M / 2 / cells.size
-    grown = ndimage.distance_transform_edt(~padded) <= radius
-    closed = (ndimage.distance_transform_edt(grown) > radius)[pad:-pad, pad:-pad]
-    shore = ndimage.binary_dilation(water, np.ones((3, 3), np.bool_)) & ~np.isnan(cells.ground)
+    grown = scipy.ndimage.distance_transform_edt(~padded) <= radius
+    closed = (scipy.ndimage.distance_transform_edt(grown) > radius)[pad:-pad, pad:-pad]
+    shore = scipy.ndimage.binary_dilation(water, np.ones((3, 3), np.bool_)) & ~np.isnan(cells.ground)
     around = 2 * pad + 1
-    low = ndimage.minimum_filter(np.where(shore, cells.ground, np.inf), around)
+    low = scipy.ndimage.minimum_filter(np.where(shore, cells.ground, np.inf), around)
     with np.errstate(invalid="ignore"):
         return water | (closed & (cells.ground - low <= UNDER_BRIDGE_M))
 
 
 def without_narrows(water: Bools, width: float) -> Bools:
     """Water without what is narrower than a width in cells; what is left keeps its shore."""
-    inner = ndimage.distance_transform_edt(np.pad(water, 1))[1:-1, 1:-1] >= max(width / 2 - 0.5, 1.0)
-    kept: Bools = water & (ndimage.distance_transform_edt(~inner) <= width / 2 + 1) if inner.any() else inner
+    inner = scipy.ndimage.distance_transform_edt(np.pad(water, 1))[1:-1, 1:-1] >= max(width / 2 - 0.5, 1.0)
+    kept: Bools = (
+        water & (scipy.ndimage.distance_transform_edt(~inner) <= width / 2 + 1) if inner.any() else inner
+    )
     return kept
 
 
@@ -237,8 +238,8 @@ def disk(radius: float) -> Bools:
 
 def _relief(ground: Floats) -> Floats:
     """Highest less lowest ground of a cell and its neighbours; infinite where a neighbour has none."""
-    high = ndimage.maximum_filter(np.where(np.isnan(ground), np.inf, ground), 3)
-    low = ndimage.minimum_filter(np.where(np.isnan(ground), -np.inf, ground), 3)
+    high = scipy.ndimage.maximum_filter(np.where(np.isnan(ground), np.inf, ground), 3)
+    low = scipy.ndimage.minimum_filter(np.where(np.isnan(ground), -np.inf, ground), 3)
     return np.asarray(high - low)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from tiler.core.area import Area
 from tiler.core.products import BEYOND
@@ -82,7 +82,7 @@ def _cells(store: TileStore, work: FindWater, size_m: float) -> Cells:
 
 def _without_islands(water: Bools, least: float) -> Bools:
     """Water with enclosed land of fewer cells filled."""
-    labels, number = ndimage.label(ndimage.binary_fill_holes(water) & ~water)
+    labels, number = scipy.ndimage.label(scipy.ndimage.binary_fill_holes(water) & ~water)
     small = np.bincount(labels.ravel(), minlength=number + 1) < least
     small[0] = False
     filled: Bools = water | small[labels]
@@ -97,9 +97,9 @@ def _bodies(
     place: tuple[float, float, float],
 ) -> list[Water]:
     """Those areas of water that are large enough; ``place``: counts of the north-west corner, and of a cell's side."""
-    labels, _ = ndimage.label(water)
+    labels, _ = scipy.ndimage.label(water)
     found: list[Water] = []
-    for number, window in enumerate(ndimage.find_objects(labels), start=1):
+    for number, window in enumerate(scipy.ndimage.find_objects(labels), start=1):
         mine = labels[window] == number
         area_m2 = float(mine.sum()) * cells.size**2
         if area_m2 < min(work.lake_m2, LEAST_LENGTH * work.river_width_m**2):
@@ -118,14 +118,14 @@ def _kind(mine: Bools, domain: Bools, window: tuple[slice, ...], size_m: float) 
     rows, cols = window
     wide = np.pad(domain, 1)[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
     body = np.pad(mine, 1)
-    outer = ~np.pad(ndimage.binary_fill_holes(mine), 1)
+    outer = ~np.pad(scipy.ndimage.binary_fill_holes(mine), 1)
     shore, ends = 0, np.zeros_like(body)
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
         edge = body & np.roll(outer, step, axis)
         beyond = edge & ~np.roll(wide, step, axis)
         shore += int((edge & ~beyond).sum())
         ends |= beyond
-    _, exits = ndimage.label(ndimage.binary_dilation(ends, np.ones((5, 5), np.bool_)))
+    _, exits = scipy.ndimage.label(scipy.ndimage.binary_dilation(ends, np.ones((5, 5), np.bool_)))
     # Faces of cells are 4 / pi times as long as a shore, in the mean of all directions.
     length = max(shore * size_m * math.pi / 4, size_m)
     area = float(mine.sum()) * size_m**2

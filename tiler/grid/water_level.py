@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage, optimize
+import scipy
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
@@ -73,7 +73,7 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Counts, Counts]:
         if not area.touches(spec.block_bounds(wide)):
             continue
         inside = spec.inside(wide, area)
-        shore = ndimage.binary_dilation(inside, np.ones((3, 3), np.bool_), SHORE_PIXELS) & ~inside
+        shore = scipy.ndimage.binary_dilation(inside, np.ones((3, 3), np.bool_), SHORE_PIXELS) & ~inside
         for other in work.others:
             shore &= ~spec.inside(wide, other)
         heights = store.read_block(work.heights, wide)
@@ -126,7 +126,7 @@ def falling_line(line: Floats, shore: Counts, within: Counts, spacing: float) ->
         Counts between the places at which the level is looked for; each sees the terrain as far to both sides.
     """
     stations, levels = _levels_along(line, shore, within, spacing)
-    falling, rising = (optimize.isotonic_regression(levels, increasing=up).x for up in (False, True))
+    falling, rising = (scipy.optimize.isotonic_regression(levels, increasing=up).x for up in (False, True))
     downstream = ((levels - falling) ** 2).sum() <= ((levels - rising) ** 2).sum()
     lengths = lengths_along(np.rint(line).astype(np.int64))
     places = np.unique(np.concatenate((lengths, stations.clip(0, lengths[-1]))))

@@ -9,8 +9,8 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
+import scipy
 import shapely
-from scipy import ndimage
 
 from tiler.core.area import Area
 from tiler.core.edits import DECK, DeckSurface, Edit
@@ -99,7 +99,7 @@ def _places(spec: RasterSpec, found: Commits) -> Iterator[PlaceCells]:
     rows, cols, _ = np.array(cells).T
     mask = np.zeros((spec.height, spec.width), np.bool_)
     mask[rows, cols] = True
-    numbers = ndimage.label(mask, np.ones((3, 3), np.bool_))[0][rows, cols]
+    numbers = scipy.ndimage.label(mask, np.ones((3, 3), np.bool_))[0][rows, cols]
     order = np.argsort(numbers, kind="stable")
     for part in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
         yield tuple((int(r), int(c), int(d)) for r, c, d in (cells[i] for i in part))
