@@ -23,7 +23,7 @@ from tiler.simulate import DemoScene
 
 pytestmark = pytest.mark.usefixtures("small_buckets")
 
-GRID = ("grid-dtm", "grid-occupancy", "grid-survey", "grid-dtm-outlined")
+GRID = ("grid-dtm", "grid-occupancy", "grid-survey", "water-search", "grid-dtm-outlined")
 
 
 @pytest.fixture
@@ -75,6 +75,7 @@ def test_another_resolution_only_grids(out: Path, demo: DemoScene) -> None:
     assert again(demo, out, resolution="0.5") == {
         "grid-dtm": 1,
         "grid-survey": 1,
+        "water-search": 1,
         "grid-dtm-outlined": 1,
         "export": 1,
         "catalogue": 1,
@@ -83,7 +84,7 @@ def test_another_resolution_only_grids(out: Path, demo: DemoScene) -> None:
 
 def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScene) -> None:
     found = again(demo, out, parameters={"iteration_distance": "1.3"})
-    assert found.keys() == {"filter0", *GRID[:2], "grid-dtm-outlined", "export", "catalogue"}
+    assert found.keys() == {"filter0", *GRID[:2], *GRID[3:], "export", "catalogue"}
 
 
 def test_other_classes_to_keep_leave_the_decoding(out: Path, demo: DemoScene) -> None:

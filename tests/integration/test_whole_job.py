@@ -20,7 +20,7 @@ from tiler.apps.evaluate import evaluate_dtm, evaluate_files
 from tiler.simulate import DemoScene
 
 PASSES = sum(not isinstance(step, MatchedPass) for step in Auto().passes)  # a laser scan
-GRID = ("grid-dtm", "grid-occupancy", "grid-survey", "grid-dtm-outlined")
+GRID = ("grid-dtm", "grid-occupancy", "grid-survey", "water-search", "grid-dtm-outlined")
 
 
 def test_it_succeeds_and_leaves_what_it_says(default_run: Finished, demo: DemoScene) -> None:

@@ -118,9 +118,9 @@ class RunConfig:
         "height), flat (the height in the column z); default: none", kind="file",
     )  # fmt: skip
     water: str = setting(
-        "none", "bodies of water, level in the terrain (lakes) or falling along their flow (rivers): none, auto (found "
-        "in the data), or a file, in any CRS, of polygons and, where wanted, columns kind (lake, river) and level, and "
-        "of lines along which rivers flow", kind="file",
+        AUTO_WATER, "bodies of water, level in the terrain (lakes) or falling along their flow (rivers): none, auto "
+        "(found in the data), or a file, in any CRS, of polygons and, where wanted, columns kind (lake, river) and "
+        "level, and of lines along which rivers flow", kind="file",
     )  # fmt: skip
     water_min_lake: Fraction = setting(
         Fraction(8000), "`--water auto` takes lakes and ponds from this area on (8000, 0.8ha, 2acre)", unit="m2",

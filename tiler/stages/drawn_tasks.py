@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
-from tiler.config import NO_WATER
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.export import (
     WriteBridges,
@@ -62,7 +61,7 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
     if g.decks:
         bridges = WriteBridges(BRIDGES, tuple(g.decks), out)
         yield Task("export", BRIDGES, digest_of(__version__, bridges), write_bridges, bridges)
-    if config.water != NO_WATER:
+    if g.waters.bodies or config.water_file is not None:
         water = WriteWater(WATER, g.waters.key, out)
         yield Task("export", WATER, digest_of(__version__, water), write_water, water)
     for name in config.drawn:

@@ -23,6 +23,8 @@ from tiler.version import __version__
 FINDING, STAGE = "water-search", "water"
 MATCHED = "dim"
 """Kind of matched clouds: they have holes anywhere, and noise on water."""
+CELL_BYTES = 100
+"""Of a coarse cell while water is looked for: measured 90."""
 STEEPEST = 1 / 30
 """Fall of a river over its length, at most."""
 SHORE_REACH = 4
@@ -33,7 +35,8 @@ def find_waters(job: Job, g: Gridding) -> Waters:
     """The bodies of water with their levels, kept in the store for the tasks."""
     auto = g.plan.config.water == AUTO_WATER
     bodies = _found(job, g) if auto else g.plan.waters
-    made = run_stage(job, STAGE, level_tasks(g, bodies))
+    tasks = list(level_tasks(g, bodies))
+    made = run_stage(job, STAGE, tasks) if tasks else {}
     levelled = []
     for body in bodies:
         record = made.get(_key(body), (None, {}))[1]
@@ -59,6 +62,13 @@ def find_waters(job: Job, g: Gridding) -> Waters:
 def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
     """The bodies that the data show, without levels."""
     config, frame = g.plan.config, g.plan.meta.frame
+    needed = CELL_BYTES * g.coarse.height * g.coarse.width
+    if needed > g.plan.memory:
+        job.note(
+            f"water is not looked for, which takes {needed / 2**20:,.0f} MiB here: give more --memory, or a file to "
+            "--water"
+        )
+        return ()
     survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
     work = FindWater(
         "dtm", g.spec, tuple(sorted(g.made["dtm"])), "occupancy", g.coarse,

@@ -22,11 +22,14 @@ def test_each_raster_comes_after_its_inputs_and_only_once(voids: str) -> None:
 
 
 def test_nothing_is_made_that_no_product_needs() -> None:
-    def names(products: list[str], voids: str = "leave", outline: str = "hull") -> list[str]:
-        settings = {"products": products, "voids": voids, "outline": outline}
+    def names(
+        products: list[str], voids: str = "leave", outline: str = "hull", water: str = "none"
+    ) -> list[str]:
+        settings = {"products": products, "voids": voids, "outline": outline, "water": water}
         return [raster.name for raster in wanted(RunConfig.from_mapping(settings))]
 
     assert names(["slope"]) == ["dtm", "slope"]
+    assert names(["slope"], water="auto") == ["dtm", "occupancy", "survey", "dtm-outlined", "slope"]
     assert names(["ndsm"]) == ["dtm", "dsm", "ndsm"]
     assert names(["mask"]) == ["dtm", "occupancy", "survey", "mask"]
     filled = ["dtm", "occupancy", "survey", "dtm-voids", "dtm-filled"]
