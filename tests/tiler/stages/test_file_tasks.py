@@ -1,0 +1,122 @@
+"""Tasks of the files: which sheets there are, and what makes a file new."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from tests.invariants import clouds
+from tiler.config import RunConfig
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.raster import BLOCK_PIXELS
+from tiler.plan import Plan, make_plan
+from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks, nodata_of, sheets
+from tiler.stages.gridding import Gridding
+from tiler.stages.ingest_tasks import Source
+from tiler.stages.tasks import Assembled
+
+WEST, EAST = Cell(0, 0), Cell(1, 0)
+"""Buckets on both sides of x = 500,000 m, whose points lie 10 to 40 m from there."""
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    cloud = clouds.write(tmp_path_factory.mktemp("in") / "in.laz", clouds.city(20.0, 1.0))
+    settings = {"products": ["dtm", "hillshade"], "resolution": "1", "sheets": "1000", "in_process": True}
+    return make_plan([str(cloud)], RunConfig.from_mapping(settings))
+
+
+def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> Gridding:
+    """What the stage grid made of points in two buckets; bounds in metres from (500,000, 5,400,000)."""
+    boxes = {"west": (-40, 10, -10, 40), "east": (10, 10, 40, 40), **bounds}
+    records = {}
+    for cell, name in ((WEST, "west"), (EAST, "east")):
+        west, south, east, north = boxes[name]
+        box = Bounds(500_000 + west, 5_400_000 + south, 500_000 + east, 5_400_000 + north)
+        records[cell] = {"bounds": [1000 * side for side in box.to_json()]}
+    found = Gridding(plan, Assembled(records, {WEST: "w", EAST: "e"}), {})
+    blocks = list(found.spec.blocks(BLOCK_PIXELS))
+    for raster in ("dtm", "dtm-outlined", "hillshade"):
+        found.made[raster] = {b.name: ("digest", {"checksum": f"{raster} {b.name}"}) for b in blocks}
+    return found
+
+
+def spooled(first: str, second: str, plan: Plan) -> Inputs:
+    """Two files, of these contents: one with points in both buckets, one in the east alone."""
+    sources = [Source(plan.sources[0], number, content) for number, content in enumerate((first, second))]
+    pieces: Any = {
+        "s000000-0": ("", {"buckets": [[0, 0, 3], [1, 0, 1]]}),
+        "s000001-0": ("", {"buckets": [[1, 0, 2]]}),
+    }
+    return Inputs.of(sources, pieces)
+
+
+def test_sheets_lie_on_multiples_of_their_side_and_hold_points(plan: Plan) -> None:
+    found = sheets(gridding(plan))
+    assert [(sheet.corner, sheet.cells) for sheet in found] == [
+        ((499_000.0, 5_400_000.0), [WEST]),
+        ((500_000.0, 5_400_000.0), [EAST]),
+    ]
+    assert {(sheet.spec.width, sheet.spec.height) for sheet in found} == {(1000, 1000)}
+    across = sheets(gridding(plan, west=(-40, -5, 10, 40)))
+    assert [sheet.corner for sheet in across] == [
+        (499_000.0, 5_399_000.0),
+        (499_000.0, 5_400_000.0),
+        (500_000.0, 5_399_000.0),
+        (500_000.0, 5_400_000.0),
+    ]
+    assert across[-1].cells == [WEST, EAST]
+
+
+def digests(g: Gridding, inputs: Inputs) -> dict[str, str]:
+    return {task.key: task.digest for task in cog_tasks(g, inputs, "all", "OUT")}
+
+
+def test_another_input_makes_new_sheets_where_it_lies(plan: Plan) -> None:
+    g = gridding(plan)
+    before = digests(g, spooled("a", "b", plan))
+    after = digests(g, spooled("a", "c", plan))
+    assert list(before) == [
+        f"{name}_{x}_5400000.tif" for name in ("dtm", "hillshade") for x in (499000, 500000)
+    ]
+    assert {key for key in before if before[key] != after[key]} == {
+        "dtm_500000_5400000.tif",
+        "hillshade_500000_5400000.tif",
+    }
+    everywhere = digests(g, spooled("d", "b", plan))
+    assert not set(before.values()) & set(everywhere.values())
+
+
+def test_another_block_makes_new_files_of_its_raster(plan: Plan) -> None:
+    g, inputs = gridding(plan), spooled("a", "b", plan)
+    before = digests(g, inputs)
+    (block,) = g.made["hillshade"]
+    g.made["hillshade"] = {block: ("digest", {"checksum": "other"})}
+    after = digests(g, inputs)
+    assert {key for key in before if before[key] != after[key]} == {k for k in before if "hillshade" in k}
+
+
+def test_one_file_and_no_mosaic_without_sheets(plan: Plan) -> None:
+    whole = gridding(replace(plan, config=replace(plan.config, sheets=None)))
+    tasks = list(cog_tasks(whole, spooled("a", "b", plan), "all", "OUT"))
+    assert [task.key for task in tasks] == ["dtm.tif", "hillshade.tif"]
+    assert {task.arguments.tags["TILER_INPUTS"] for task in tasks} == {"all"}
+    assert list(mosaic_tasks(whole, "all", "OUT")) == []
+    mosaics = list(mosaic_tasks(gridding(plan), "all", "OUT"))
+    assert [task.key for task in mosaics] == ["dtm.vrt", "hillshade.vrt"]
+    assert [path for path, _ in mosaics[0].arguments.sheets] == [
+        "dtm/dtm_499000_5400000.tif",
+        "dtm/dtm_500000_5400000.tif",
+    ]
+
+
+def test_the_nodata_value_is_the_users_in_rasters_of_heights_alone(plan: Plan) -> None:
+    asked = replace(plan, config=replace(plan.config, nodata=-999_999.0))
+    assert {name: nodata_of(asked, name) for name in ("dtm", "slope", "hillshade", "mask")} == {
+        "dtm": -999_999.0,
+        "slope": -999_999.0,
+        "hillshade": None,
+        "mask": None,
+    }
