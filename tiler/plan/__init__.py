@@ -1,18 +1,18 @@
 """The plan: everything that can be decided or refused before the first point is read.
 
 `make` reads the headers and decides, `model` is the plan; `sizes` has the rules for buckets, tiles and pixels,
-`memory` what a worker needs, `crowd` where the points are thickest, `far` which files lie too far away, `disk` and
-`rates` what else it takes; `refuse` says no; `words` tells people.
+`memory` what a worker needs, `density_map` where the points are thickest, `distant_files` which files lie too far away,
+`disk` and `rates` what else it takes; `refuse` says no; `plan_text` tells people.
 """
 
 from tiler.plan.disk import too_much_between
 from tiler.plan.make import make_plan, output_names
 from tiler.plan.memory import PlannedPass
 from tiler.plan.model import KEEP, LEAST_MATCHED_M2, PIECE_POINTS, Plan
+from tiler.plan.plan_text import crs_name, plan_json, plan_lines
 from tiler.plan.rates import remember, stage_seconds
 from tiler.plan.refuse import refuse
 from tiler.plan.sizes import bounds_of
-from tiler.plan.words import crs_name, plan_json, plan_lines
 
 __all__ = [
     "KEEP",

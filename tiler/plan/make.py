@@ -22,10 +22,10 @@ from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, ins
 from tiler.io.locations import cloud_path, is_url
 from tiler.plan import advice, machine, sizes
 from tiler.plan.area import area_of, part_of
-from tiler.plan.crowd import Crowd
+from tiler.plan.density_map import DensityMap
 from tiler.plan.disk import emptiness_warning, too_much_between
+from tiler.plan.distant_files import LeftOut, beyond_frame, minority
 from tiler.plan.drawings import with_drawings
-from tiler.plan.far import LeftOut, beyond_frame, minority
 from tiler.plan.memory import FINE_CELL_M, PlannedPass
 from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
 from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
@@ -121,12 +121,13 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     frame = CoordFrame(agreement.units, sizes.origin_of(extent), agreement.wkt)
     points = sum(s.points for s in filled)
     patches = [patch for s in filled for patch in s.patches]
-    density, crowd = sizes.density_of(points, covered, patches, metres, notes), Crowd(patches, metres)
+    density = sizes.density_of(points, covered, patches, metres, notes)
+    density_map = DensityMap(patches, metres)
     workers = config.workers or machine.cores()
     memory = config.memory or machine.fair_share(workers)
     meta = StoreMeta(
         frame=frame,
-        bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, crowd, memory)))),
+        bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, density_map, memory)))),
         fine=Lattice(frame.counts(FINE_CELL_M)),
         has_rgb=any(s.has_rgb for s in filled),
     )
@@ -147,7 +148,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     plan = Plan(
         config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
-        workers, cell, points, covered, extent, crowd, None,
+        workers, cell, points, covered, extent, density_map, None,
         output_names(found.inputs, found.sources), tuple(notes), tuple(warnings),
         known,
     )  # fmt: skip

@@ -20,7 +20,7 @@ from tiler.core.stage_names import stage_title
 from tiler.core.water import Water
 from tiler.grid import SMALLEST_PART
 from tiler.ingest import SourceInfo, claimed_bounds
-from tiler.plan.crowd import Crowd
+from tiler.plan.density_map import DensityMap
 from tiler.plan.memory import (
     BASE_BYTES,
     EXPORT_BYTES,
@@ -91,7 +91,7 @@ class Plan:
         That the tiles are cut for: `memory` of the first run on a store, whatever later ones may use.
     thin : bool or None
         As the first run on a store decided; None: as `thin_ground` does.
-    crowd : Crowd
+    density_map : DensityMap
         Where the points are thickest.
     names : dict of Path to Path
         Of each source's classified file, below OUT/classified.
@@ -123,7 +123,7 @@ class Plan:
     points: int
     area_m2: float
     extent: Bounds
-    crowd: Crowd
+    density_map: DensityMap
     thin: bool | None = None
     names: dict[Path, Path] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -216,7 +216,7 @@ class Plan:
         if self.thin is not None:
             return self.thin
         mean = self.density * self._part_side_m(PART) ** 2
-        return max(mean, self.crowd.fullest(self._part_side_m(SMALLEST_PART))) > MAX_GROUND
+        return max(mean, self.density_map.fullest(self._part_side_m(SMALLEST_PART))) > MAX_GROUND
 
     @property
     def surface_share(self) -> int | None:
@@ -233,7 +233,7 @@ class Plan:
     def fullest_part(self) -> float:
         """About how many points a worker holds of the smallest part of a block, in the fullest place."""
         side = self._part_side_m(SMALLEST_PART)
-        points = max(self.density * side**2, self.crowd.fullest(side))
+        points = max(self.density * side**2, self.density_map.fullest(side))
         if self.surface_share is None:
             return points
         return min(points, (side * self.surface_share / float(self.resolution)) ** 2)
@@ -261,13 +261,13 @@ class Plan:
     @property
     def fullest_bucket(self) -> float:
         """About how many points the fullest bucket holds."""
-        return max(self.density * self.bucket_m**2, self.crowd.fullest(self.bucket_m))
+        return max(self.density * self.bucket_m**2, self.density_map.fullest(self.bucket_m))
 
     def fullest_window(self) -> int:
         """About how many points the fullest window of a filter tile holds, halo included."""
         side = float(self.tile) + 2 * self.halo_m
         mean = min(self.density * side**2, self.points)
-        return int(max(mean, self.crowd.fullest(side)))
+        return int(max(mean, self.density_map.fullest(side)))
 
     def projected_memory(self) -> dict[str, int]:
         """Peak bytes of a worker by stage."""
@@ -303,8 +303,8 @@ class Plan:
         bucket_m = self.bucket_m + 2 * step.margin_m
         points, bucket = self.density * area, self.density * bucket_m**2
         if crowded:
-            points = max(points, self.crowd.fullest(side))
-            bucket = max(bucket, self.crowd.fullest(bucket_m))
+            points = max(points, self.density_map.fullest(side))
+            bucket = max(bucket, self.density_map.fullest(bucket_m))
         raster = min(side**2, extent) if step.raster_cell_m else area
         window = filter_bytes(points, raster, self.candidate_cell_m, step)
         held = held_bytes(self.memory) if step.margin_m else 0

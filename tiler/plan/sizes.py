@@ -12,7 +12,7 @@ from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.ingest import Patch, SourceInfo
-from tiler.plan.crowd import Crowd
+from tiler.plan.density_map import DensityMap
 from tiler.plan.memory import ASSEMBLY_POINT_BYTES, BASE_BYTES, PlannedPass, filter_bytes
 from tiler.store import StoreMeta
 
@@ -86,12 +86,12 @@ def origin_of(extent: Bounds) -> tuple[int, int]:
     return (extent.x0 + extent.x1) // 2 // step * step, (extent.y0 + extent.y1) // 2 // step * step
 
 
-def bucket_m(density: float, crowd: Crowd, memory: int) -> int:
+def bucket_m(density: float, density_map: DensityMap, memory: int) -> int:
     """Side of a bucket in metres: about `BUCKET_POINTS` on the mean, and in the fullest place no more than fit."""
     side = math.sqrt(BUCKET_POINTS / density)
     wanted = min(BUCKETS_M, key=lambda b: abs(math.log(b / side)))
     most = (memory - BASE_BYTES) / ASSEMBLY_POINT_BYTES
-    fitting = [b for b in BUCKETS_M if b <= wanted and crowd.fullest(b) <= most]
+    fitting = [b for b in BUCKETS_M if b <= wanted and density_map.fullest(b) <= most]
     return max(fitting, default=BUCKETS_M[0])
 
 

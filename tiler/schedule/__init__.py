@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from tiler.schedule.apart import half_of_memory, read_apart, seconds_for
 from tiler.schedule.guard import Died, Guard
+from tiler.schedule.isolated_reading import half_of_memory, read_apart, seconds_for
+from tiler.schedule.parallel_calls import Guards
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import (
     NOT_IN_DIGEST,
@@ -19,7 +20,6 @@ from tiler.schedule.task import (
     Work,
     digest_of,
 )
-from tiler.schedule.together import Guards
 
 __all__ = [
     "NOT_IN_DIGEST",

@@ -31,7 +31,7 @@ from tiler.schedule.children import (
     machine_of,
     perform_in_child,
 )
-from tiler.schedule.here import cluster_here
+from tiler.schedule.local_cluster import cluster_here
 from tiler.schedule.task import TRIES, Limits, Look, Machine, Outcome, Perform, Task
 
 WAITING_PER_WORKER = 1

@@ -15,7 +15,7 @@ MOST_CELLS = 1_000_000
 """Cells of the map at most; where files cover more, the cells are larger."""
 
 
-class Crowd:
+class DensityMap:
     """Points by cell of a coarse lattice.
 
     Parameters

@@ -10,7 +10,7 @@ import pytest
 
 from tiler.ingest import Patch
 from tiler.ingest.patches import find_patches, local_density
-from tiler.plan.crowd import Crowd
+from tiler.plan.density_map import DensityMap
 from tiler.plan.sizes import density_of
 
 Array = np.ndarray[Any, Any]
@@ -27,8 +27,8 @@ def patches_of(cloud: Array) -> tuple[Patch, ...]:
     return find_patches(runs_of(cloud), cloud.shape[1], bounds)
 
 
-def crowd_of(cloud: Array) -> Crowd:
-    return Crowd(patches_of(cloud), 1.0)
+def map_of(cloud: Array) -> DensityMap:
+    return DensityMap(patches_of(cloud), 1.0)
 
 
 def square(density: float, side: float, seed: int = 0) -> Array:
@@ -48,34 +48,36 @@ def in_lines(cloud: Array) -> Array:
 
 @pytest.mark.parametrize("order", [lambda c: c, lambda c: in_tiles(c, 20.0), in_lines])
 def test_an_even_cloud_is_even_in_any_order(order: Any) -> None:
-    crowd = crowd_of(order(square(4.0, 300.0)))
-    assert 0.5 < crowd.fullest(64) / (4.0 * 64**2) < 2.2, "patches may overlap"
-    assert crowd.fullest(200) == pytest.approx(4.0 * 200**2, rel=0.5)
-    assert crowd.fullest(1000) == pytest.approx(4.0 * 300**2)
+    density_map = map_of(order(square(4.0, 300.0)))
+    assert 0.5 < density_map.fullest(64) / (4.0 * 64**2) < 2.2, "patches may overlap"
+    assert density_map.fullest(200) == pytest.approx(4.0 * 200**2, rel=0.5)
+    assert density_map.fullest(1000) == pytest.approx(4.0 * 300**2)
 
 
 def test_a_diagonal_strip_is_not_thinned_out_over_its_bounds() -> None:
     random = np.random.default_rng(1)  # a strip of 2000 x 100 m at 4 per m2
     along, across = np.sort(random.uniform(0, 2000, 800_000)), random.uniform(0, 100, 800_000)
     strip = np.stack([along - across, along + across]) / np.sqrt(2)
-    crowd = crowd_of(strip)
+    density_map = map_of(strip)
     mean = 800_000 / np.prod(np.ptp(strip, axis=1))
     assert mean < 0.5
-    assert 1.0 < crowd.fullest(100) / 100**2 < 8.0
+    assert 1.0 < density_map.fullest(100) / 100**2 < 8.0
 
 
 def test_strips_that_cross_add_up() -> None:
     patches = [Patch(0, 0, 1000, 1000, 1e6)] * 20 + [Patch(5000, 0, 6000, 1000, 1e6)]
-    crowd = Crowd(patches, 1.0)
-    assert crowd.fullest(100) == pytest.approx(20 * 100**2, rel=0.05)
-    assert crowd.fullest(10) == pytest.approx(20 * 10**2, rel=0.05)
-    assert Crowd(patches, 0.5).fullest(50) == pytest.approx(20 * 100**2, rel=0.05), "units of half a metre"
+    density_map = DensityMap(patches, 1.0)
+    assert density_map.fullest(100) == pytest.approx(20 * 100**2, rel=0.05)
+    assert density_map.fullest(10) == pytest.approx(20 * 10**2, rel=0.05)
+    assert DensityMap(patches, 0.5).fullest(50) == pytest.approx(20 * 100**2, rel=0.05), (
+        "units of half a metre"
+    )
 
 
 def test_a_map_of_a_country_stays_small() -> None:
     patches = [Patch(x, y, x + 5e4, y + 5e4, 1e10) for x in (0, 5e4) for y in (0, 5e4, 1e5)]
-    crowd = Crowd(patches, 1.0)
-    assert crowd.fullest(512) == pytest.approx(4 * 512**2, rel=0.05)
+    density_map = DensityMap(patches, 1.0)
+    assert density_map.fullest(512) == pytest.approx(4 * 512**2, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -86,12 +88,12 @@ def test_points_on_a_spot_or_a_line(points: Array) -> None:
     (patch,) = find_patches([points], points.shape[1], [0, 0, 10, 10])
     assert patch.points == points.shape[1]
     assert 0 <= patch.x0 <= patch.x1 <= 10
-    assert Crowd([patch], 1.0).fullest(64) == pytest.approx(points.shape[1])
+    assert DensityMap([patch], 1.0).fullest(64) == pytest.approx(points.shape[1])
 
 
-def test_no_points_no_crowd() -> None:
+def test_without_points_nothing_is_dense() -> None:
     assert find_patches([], 0, [0, 0, 0, 0]) == ()
-    assert Crowd([], 1.0).fullest(100) == 0
+    assert DensityMap([], 1.0).fullest(100) == 0
     outside = np.full((2, 5), 99.0)
     assert find_patches([outside], 7, [0, 0, 10, 10]) == (Patch(0, 0, 10, 10, 7),)
 
@@ -100,8 +102,8 @@ def test_a_long_line_has_few_cells() -> None:
     patch = Patch(
         0.0, 0.0, 1e6, 1.0, 1000.0
     )  # of kilometres: 16 million cells of 64 m along it, next to no area
-    crowd = Crowd([patch], 1000.0)
-    assert 900 < crowd.fullest(1e9) < 1001
+    density_map = DensityMap([patch], 1000.0)
+    assert 900 < density_map.fullest(1e9) < 1001
 
 
 def test_voids_between_islands_are_no_part_of_the_density() -> None:

@@ -9,7 +9,7 @@ import psutil
 from tests.tiler.schedule import calls
 from tiler.errors import InputError
 from tiler.schedule import Died, Guard, Guards
-from tiler.schedule.together import AHEAD
+from tiler.schedule.parallel_calls import AHEAD
 
 SECONDS = 300.0
 
