@@ -78,9 +78,14 @@ def _looks_matched(source: SourceInfo, density: float) -> bool:
 
 
 def roofs_in_terrain(
-    store: TileStore, name: str, spec: RasterSpec, filled: Iterable[Block], building_m: float
+    store: TileStore,
+    name: str,
+    spec: RasterSpec,
+    filled: Iterable[Block],
+    building_m: float,
+    roof_m: float | None = None,
 ) -> str | None:
-    """A warning if the terrain holds what looks like a roof too wide for ``max_building_size``.
+    """A warning if the terrain holds what looks like a roof too wide for ``max_building_size`` or ``roof_size``.
 
     Parameters
     ----------
@@ -92,6 +97,8 @@ def roofs_in_terrain(
         That hold heights: nothing else is looked at.
     building_m : float
         The method's largest building, metres.
+    roof_m : float, optional
+        The widest roof that the method looks for itself, metres.
     """
     frame = store.meta.frame
     pixel = float(spec.lattice.size * frame.metres_xy)
@@ -113,10 +120,13 @@ def roofs_in_terrain(
     if where is None:
         return None
     x, y = _place(spec, *where)
-    wanted = math.ceil(1.2 * max(widest, building_m) / 10) * 10
+    setting, metres = "max_building_size", building_m
+    if roof_m is not None and widest > roof_m:
+        setting, metres = "roof_size", roof_m
+    wanted = math.ceil(1.2 * max(widest, metres) / 10) * 10
     return (
-        f"the terrain holds what looks like a roof {widest:.0f} m wide, at x {x:.0f}, y {y:.0f}, and max_building_size "
-        f"is {building_m:g} m; if it is one, use --set max_building_size={wanted}"
+        f"the terrain holds what looks like a roof {widest:.0f} m wide, at x {x:.0f}, y {y:.0f}, and {setting} "
+        f"is {metres:g} m; if it is one, use --set {setting}={wanted}"
     )
 
 

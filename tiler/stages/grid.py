@@ -130,7 +130,8 @@ def _advise(job: Job, spec: RasterSpec, made: Commits) -> None:
         filled = (
             spec.block_named(key, BLOCK_PIXELS) for key, (_, record) in made.items() if record["filled"]
         )
-        text = roofs_in_terrain(job.store, "dtm", spec, filled, building)
+        roof = job.plan.parameters.get("roof_size_m")
+        text = roofs_in_terrain(job.store, "dtm", spec, filled, building, roof)
         found = {"building_m": building, "texts": [] if text is None else [text]}
         job.store.put_state("advice", found)
     job.facts["advice"] = found["texts"]

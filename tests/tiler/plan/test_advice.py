@@ -51,6 +51,10 @@ def test_a_roof_in_the_terrain_of_a_store(
     assert "x 500130, y 5399890" in text
     assert text.endswith("max_building_size is 20 m; if it is one, use --set max_building_size=80")
     assert roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 80.0) is None
+    wider = roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 20.0, 50.0)
+    assert wider is not None
+    assert wider.endswith("roof_size is 50 m; if it is one, use --set roof_size=80")
+    assert roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 20.0, 200.0) == text
 
 
 @pytest.fixture
