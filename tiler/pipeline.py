@@ -231,6 +231,7 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
             "resolution": str(plan.resolution),
             "memory": plan.memory,
             "thin": plan.thin_ground,
+            "workers": plan.tile_workers,
         }
         return plan, create_store(url, plan.meta, first, anew=plan.config.overwrite)
     store = open_store(url)
@@ -250,12 +251,13 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
         tile = config.tile_size or frozen
         resolution = config.resolution or Fraction(settled["resolution"])
         memory, thin = settled["memory"] if tile == frozen else plan.memory, settled["thin"]
+        workers = int(settled.get("workers", 0)) if tile == frozen else plan.tile_workers
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise StoreError(
             f"{url}: its description is damaged ({error}); run again with --overwrite"
         ) from error
     plan = dataclasses.replace(
-        plan, meta=old, tile=tile, resolution=resolution, tile_memory=memory, thin=thin
+        plan, meta=old, tile=tile, resolution=resolution, tile_memory=memory, thin=thin, tile_workers=workers
     )
     refuse(plan, None)
     return plan, store

@@ -1,5 +1,9 @@
 """Cuts the survey into filter tiles, each a set of buckets whose window fits the memory of a worker.
 
+Passes that read every point, or points that others made, and all passes where a size was asked for, have the tiles of a
+lattice, quartered where they do not fit. Passes on candidates (one in each fine cell) have tiles as large as fit, at
+least as many as there are workers: the whole survey is halved until that is so, and their halos cost little.
+
 How a tile is cut depends on the number of points in its window alone, which is known once the buckets are assembled.
 The memory is that of the first run on the store: later ones with more or less of it find the same tiles.
 """
@@ -7,10 +11,11 @@ The memory is that of the first run on the store: later ones with more or less o
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 from ptd.tin.mesh import MAX_EXTENT
@@ -18,9 +23,16 @@ from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes, nested
 from tiler.plan.model import MAX_HALO_FACTOR
+from tiler.plan.sizes import SPARSE_TILE_M
 
 WIDEST_WINDOW = MAX_EXTENT // 2
 """Counts of a window's side with which a TIN is exact, however the method widens it."""
+
+LEAST_CANDIDATES = 500_000
+"""A tile is not halved for want of others if it holds less than twice as many."""
+
+NEAR_HALF = 0.1
+"""Share of the points by which the halves of a tile may differ from one half."""
 
 Records = Mapping[Cell, Mapping[str, Any]]
 """Bucket -> what its assembly recorded: ``n`` points, ``n_candidates`` of them; ``n_elected``, once there are some."""
@@ -48,10 +60,58 @@ class Tile:
 
 def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
     """The tiles of a pass, from the west."""
+    if plan.joins(step):
+        held = sum(record["n_candidates"] for record in records.values())
+        wanted = min(1 << (plan.tile_workers - 1).bit_length(), max(held // LEAST_CANDIDATES, 1))
+        yield from _halved(plan, records, step, sorted(records), wanted)
+        return
     size = plan.meta.frame.counts(plan.tile)
     groups = _by_centre(plan.meta.bucket, records, size)
     for cell in sorted(groups):
         yield from _fitting(plan, records, step, groups[cell], cell.name, size, 0)
+
+
+def _halved(
+    plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], wanted: int
+) -> Iterator[Tile]:
+    """A tile, or those of its halves where more are wanted, or its window is too wide or holds too many points."""
+    halo = _halo(plan, step)
+    across = plan.meta.bucket.hull(cells)
+    wide = max(across.x1 - across.x0, across.y1 - across.y0) > plan.meta.frame.counts(Fraction(SPARSE_TILE_M))
+    if len(cells) > 1 and (
+        wanted > 1
+        or wide
+        or _too_wide(plan, cells, halo)
+        or _bytes(plan, records, step, cells, halo) > plan.tile_memory_of(step)
+    ):
+        for half in _halves(records, cells):
+            yield from _halved(plan, records, step, half, wanted // 2)
+        return
+    columns, rows = ([getattr(cell, axis) for cell in cells] for axis in ("ix", "iy"))
+    corner = Cell(min(columns), min(rows))
+    name = f"{corner.name}.{max(columns) - corner.ix + 1}x{max(rows) - corner.iy + 1}"
+    yield Tile(name, tuple(sorted(cells)), halo, _widest(plan, records, step, cells, halo))
+
+
+def _halves(records: Records, cells: Sequence[Cell]) -> list[list[Cell]]:
+    """Buckets on the two sides of a line across the longer side.
+
+    Of the lines that leave about half of the points on each side the one whose number is divided by two most often: a
+    delivery that grows has most of its tiles as they were. Else the one nearest to half.
+    """
+    spans = {axis: {getattr(cell, axis) for cell in cells} for axis in ("ix", "iy")}
+    axis = max(spans, key=lambda name: max(spans[name]) - min(spans[name]))
+    held: Counter[int] = Counter()
+    for cell in cells:
+        held[getattr(cell, axis)] += records[cell]["n_candidates"] + 1
+    lines, below, total = [], 0, held.total()
+    for before, line in pairwise(sorted(held)):
+        below += held[before]
+        off = abs(below / total - 0.5)
+        round_to = line & -line if off <= NEAR_HALF else 0
+        lines.append((off > NEAR_HALF, -round_to, off, line))
+    cut = min(lines)[-1]
+    return [[c for c in cells if (getattr(c, axis) < cut) == west] for west in (True, False)]
 
 
 def _fitting(
@@ -64,24 +124,37 @@ def _fitting(
     level: int,
 ) -> Iterator[Tile]:
     """A tile, or its quarters where its window is too wide or holds too many points; one bucket is not divided."""
-    halo = math.ceil(plan.meta.frame.counts(Fraction(step.halo_m)))
-    window = plan.meta.bucket.hull(cells).pad(MAX_HALO_FACTOR * halo)
-    wide = max(window.x1 - window.x0, window.y1 - window.y0) > WIDEST_WINDOW
-    if len(cells) > 1 and (wide or _bytes(plan, records, step, cells, halo) > plan.tile_memory):
+    halo = _halo(plan, step)
+    too_full = _bytes(plan, records, step, cells, halo) > plan.tile_memory
+    if len(cells) > 1 and (too_full or _too_wide(plan, cells, halo)):
         quarters = _by_centre(plan.meta.bucket, cells, size / 2)
         root = name.split(".")[0]
         for place in sorted(quarters):
             below = f"{root}.{level + 1}{place.name}"
             yield from _fitting(plan, records, step, quarters[place], below, size / 2, level + 1)
         return
+    yield Tile(name, tuple(sorted(cells)), halo, _widest(plan, records, step, cells, halo))
+
+
+def _halo(plan: Plan, step: PlannedPass) -> int:
+    return math.ceil(plan.meta.frame.counts(Fraction(step.halo_m)))
+
+
+def _too_wide(plan: Plan, cells: Sequence[Cell], halo: int) -> bool:
+    window = plan.meta.bucket.hull(cells).pad(MAX_HALO_FACTOR * halo)
+    return max(window.x1 - window.x0, window.y1 - window.y0) > WIDEST_WINDOW
+
+
+def _widest(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
+    """The halo, doubled and doubled again while the memory allows; that of a fixed one stays."""
     widest = halo
     while (
         not step.fixed
         and 0 < widest < MAX_HALO_FACTOR * halo
-        and _bytes(plan, records, step, cells, 2 * widest) <= plan.tile_memory
+        and _bytes(plan, records, step, cells, 2 * widest) <= plan.tile_memory_of(step)
     ):
         widest *= 2
-    yield Tile(name, tuple(sorted(cells)), halo, widest)
+    return widest
 
 
 def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[Cell, list[Cell]]:

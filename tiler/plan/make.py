@@ -150,7 +150,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
         workers, cell, points, covered, extent, density_map, None,
         output_names(found.inputs, found.sources), tuple(notes), tuple(warnings),
-        known,
+        known, tile_workers=0 if config.tile_size else workers,
     )  # fmt: skip
     plan = part_of(plan)
     text = emptiness_warning(plan)

@@ -26,12 +26,14 @@ from tiler.plan.memory import (
     EXPORT_BYTES,
     EXPORT_POINTS,
     GROUND_BYTES,
+    JOINED_BYTES,
     PlannedPass,
     breakline_bytes,
     bucket_bytes,
     filter_bytes,
     held_bytes,
     ingest_bytes,
+    nested,
 )
 from tiler.store import StoreMeta
 
@@ -105,6 +107,8 @@ class Plan:
         Vertices of breaklines, absolute counts.
     waters : tuple of Water
         Bodies of water that a file says, in its order; heights where it has them.
+    tile_workers : int
+        `workers` of the first run on a store: there are as many tiles, if the points suffice. 0: a size was asked for.
     """
 
     config: RunConfig
@@ -132,6 +136,7 @@ class Plan:
     edits: tuple[Edit, ...] = ()
     lines: tuple[Counts, ...] = ()
     waters: tuple[Water, ...] = ()
+    tile_workers: int = 0
 
     @property
     def filled(self) -> list[SourceInfo]:
@@ -171,6 +176,15 @@ class Plan:
     def overlap_of(self, halo_m: float) -> float:
         """Padded area over core area of a filter tile with that halo."""
         return float(((self.tile + 2 * Fraction(halo_m)) / self.tile) ** 2)
+
+    def joins(self, step: PlannedPass) -> bool:
+        """Whether tiles of a pass are as large as memory allows: it looks at candidates, and no size was asked for."""
+        on_candidates = not (step.every_point or step.elected or step.raster_cell_m)
+        return self.tile_workers > 0 and on_candidates and nested(self.candidate_cell_m)
+
+    def tile_memory_of(self, step: PlannedPass) -> int:
+        """Bytes of a worker that the tiles of a pass are cut for."""
+        return min(self.tile_memory, JOINED_BYTES) if self.joins(step) else self.tile_memory
 
     @property
     def margin(self) -> int:
@@ -290,6 +304,10 @@ class Plan:
 
     def _projected_filter(self, step: PlannedPass) -> int:
         """Peak bytes of a pass: mean tile with widest halo or fullest one, divided until it fits or is one bucket."""
+        if self.joins(step):
+            whole = self.filter_peak(step, math.sqrt(self.area_m2), step.halo_m, crowded=True)
+            least = self.filter_peak(step, self.bucket_m, step.halo_m, crowded=True)
+            return min(whole, max(self.tile_memory_of(step), least))
         mean = self.filter_peak(step, float(self.tile), self.widest_halo_m(step))
         whole = self.filter_peak(step, float(self.tile), step.halo_m, crowded=True)
         least = self.filter_peak(step, self.bucket_m, step.halo_m, crowded=True)

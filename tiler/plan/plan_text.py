@@ -55,7 +55,8 @@ def plan_lines(plan: Plan) -> list[str]:
         f"products    {', '.join(plan.config.products)}",
         *_drawn_in_words(plan),
         f"tiles       about {plan.tiles} of {float(plan.tile):g} m with {_halo_in_words(plan)}, "
-        f"about {plan.fullest_window():,} points in the fullest window",
+        f"about {plan.fullest_window():,} points in the fullest window"
+        + ("; larger tiles for passes on one point a cell" if any(map(plan.joins, plan.steps)) else ""),
         "memory      "
         + ", ".join(f"{stage} {size / 2**20:,.0f}" for stage, size in memory.items() if size)
         + f" MiB: a worker needs {memory[worst] / 2**20:,.0f} MiB at most ({worst}), "
