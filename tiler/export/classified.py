@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,7 +23,7 @@ from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.work import WriteClassified
-from tiler.io.cloud_reading import digest_of_file, open_cloud
+from tiler.io.cloud_reading import digest_of_file, fetched_bytes, open_cloud
 from tiler.io.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
@@ -70,8 +70,10 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
     store = open_store(store_url)
     place, name = os.path.split(work.out)
     with unchanged(cloud_path(work.path), work.stamp, work.salvage) as header, folder_for(place) as folder:
+        before = fetched_bytes()
         header = replace(header, point_count=count_decodable(header))  # as it was read, if salvaged
         record = _write(store, header, work, folder / name)
+        record["fetched"] = fetched_bytes() - before
     return {**record, "state": state_of(cloud_path(work.out)).to_json()}
 
 
@@ -80,7 +82,10 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
     partial = partial_path(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with open_cloud(header.path) as source, open(partial, "w+b") as target:
+        block_bytes = (
+            _COPY >> 4 if work.ranges else _COPY << 2
+        )  # of a part, little but the header is asked for
+        with open_cloud(header.path, block_bytes) as source, open(partial, "w+b") as target:
             notes = _write_front(header, source, target)
             record = _write_points(header, target, store, work)
             _write_back(header, source, target)
@@ -99,7 +104,7 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
             f"{record['refused']} points keep their class: format {header.point_format} has classes 0 to 31"
         )
     return {
-        "points": header.point_count,
+        "points": record["points"],
         "changed": record["changed"],
         "classes": record["classes"],
         "statistics": record["statistics"],
@@ -140,7 +145,7 @@ def _write_front(header: LasHeader, source: BinaryIO, target: BinaryIO) -> list[
     return notes
 
 
-def _patch(target: BinaryIO, position: int, form: str, *values: int) -> None:
+def _patch(target: BinaryIO, position: int, form: str, *values: float) -> None:
     target.seek(position)
     target.write(struct.pack(form, *values))
 
@@ -171,10 +176,15 @@ def _write_points(
     highest = LEGACY_CLASS_MASK if is_legacy(header.point_format) else 255
     step = rows_at_once(header.record_length, _STEP)
     writer = PointWriter(target, header)
-    with PointReader(header, EVERYTHING) as reader:
-        for first in range(0, header.point_count, ROWS_AT_ONCE):
-            last = min(first + ROWS_AT_ONCE, header.point_count)
+    spans = work.ranges or [
+        (first, min(ROWS_AT_ONCE, header.point_count - first))
+        for first in range(0, header.point_count, ROWS_AT_ONCE)
+    ]
+    with PointReader(header, EVERYTHING, ranges=work.ranges) as reader:
+        for first, number in spans:
+            last = first + number
             found = collect_labels(store, work, first, last)
+            wanted = _inside_area(store, work, first, last) if work.ranges else None
             for start in range(first, last, step):
                 stop = min(start + step, last)
                 records = reader.read(start, stop - start)
@@ -186,6 +196,9 @@ def _write_points(
                     )
                 before = class_and_flags(records, header.point_format)[0]
                 new = found[start - first : stop - first]
+                if wanted is not None:
+                    inside = wanted[start - first : stop - first]
+                    records, before, new = records[inside], before[inside], new[inside]
                 refused += int(np.count_nonzero(new > highest))
                 chosen = (new != 0) & (new <= highest) & (new != before)
                 write_classes(records, header.point_format, new, chosen)
@@ -194,8 +207,26 @@ def _write_points(
                 statistics.add(records)
                 writer.write(records)
     writer.close()
+    if work.ranges:
+        _patch_window(header, target, statistics)
     histogram = {str(c): int(n) for c, n in enumerate(classes.tolist()) if n}
-    return {"changed": changed, "refused": refused, "classes": histogram, "statistics": statistics.to_json()}
+    return {
+        "points": statistics.points,
+        "changed": changed,
+        "refused": refused,
+        "classes": histogram,
+        "statistics": statistics.to_json(),
+    }
+
+
+def _patch_window(header: LasHeader, target: BinaryIO, statistics: CloudStatistics) -> None:
+    """Counts and bounds of a cloud that holds a part of its source: LAS 1.4, as COPC is."""
+    fields = statistics.to_json()["fields"]
+    ends = [fields[axis][end] if fields else 0.0 for axis in "XYZ" for end in ("maximum", "minimum")]
+    _patch(target, 107, "<6I", *[0] * 6)
+    _patch(target, 179, "<6d", *ends)
+    _patch(target, 247, "<16Q", statistics.points, *statistics.by_return)
+    target.seek(0, os.SEEK_END)
 
 
 def _channels(header: LasHeader, records: Records) -> set[int]:
@@ -211,7 +242,28 @@ def _channels(header: LasHeader, records: Records) -> set[int]:
 
 def collect_labels(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.uint8]:
     """Final classes of the rows ``first`` to ``last`` of a source, uint8; 0 where the store or the area has none."""
-    found, area = np.zeros(last - first, dtype=np.uint8), store.area(work.area)
+    found = np.zeros(last - first, dtype=np.uint8)
+    for cell, rows, mine in _rows_inside(store, work, first, last):
+        final = store.read_labels(work.labels, cell)
+        if work.edits is not None:
+            final = _corrected(store, work.edits, cell, final)
+        found[rows[mine] - first] = final[mine] & ~np.uint8(_MARK)
+    return found
+
+
+def _inside_area(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.bool_]:
+    """Which of the rows ``first`` to ``last`` of a source the store holds, inside of the area."""
+    found = np.zeros(last - first, dtype=np.bool_)
+    for _, rows, mine in _rows_inside(store, work, first, last):
+        found[rows[mine] - first] = True
+    return found
+
+
+def _rows_inside(
+    store: TileStore, work: WriteClassified, first: int, last: int
+) -> Iterator[tuple[Cell, npt.NDArray[np.int64], npt.NDArray[np.bool_]]]:
+    """Buckets with rows ``first`` to ``last`` of a source inside of the area: cell, all rows, which are these."""
+    area = store.area(work.area)
     for cell in work.cells:
         whole = area is None or area.covers(store.meta.bucket.bounds(cell))
         block = store.read_bucket(cell, columns=("origin",) if whole else ("origin", "xyz"))
@@ -223,11 +275,7 @@ def collect_labels(store: TileStore, work: WriteClassified, first: int, last: in
             x, y = (block.xyz[axis].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
             mine &= area.inside(x, y)
         if mine.any():
-            final = store.read_labels(work.labels, cell)
-            if work.edits is not None:
-                final = _corrected(store, work.edits, cell, final)
-            found[rows[mine] - first] = final[mine] & ~np.uint8(_MARK)
-    return found
+            yield cell, rows, mine
 
 
 def _corrected(

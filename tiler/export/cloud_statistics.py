@@ -15,6 +15,8 @@ from tiler.io.las.reader import Records
 
 COORDINATES = ("X", "Y", "Z")
 
+_RETURNS = 15
+"""Of a pulse, that a header counts."""
 _NOTHING = [2**63, -(2**63), 0, 0]
 
 
@@ -31,10 +33,14 @@ class CloudStatistics:
         self._sums: dict[str, list[int]] = {}
         self._times: list[float] = []
         self.points = 0
+        self.by_return = [0] * _RETURNS
 
     def add(self, records: Records) -> None:
         """Take in some records."""
         self.points += len(records)
+        number = returns(records, self._header.point_format)[0]
+        counts = np.bincount(np.minimum(number, _RETURNS), minlength=_RETURNS + 1)[1:].tolist()
+        self.by_return = [a + b for a, b in zip(self.by_return, counts, strict=True)]
         for name, values in _fields(records, self._header.point_format):
             found = self._sums.setdefault(name, list(_NOTHING))
             if values.size:

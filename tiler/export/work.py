@@ -236,6 +236,9 @@ class WriteClassified:
         Keys in the store of the area and of corrections.
     stamp : list or None
         Of the source, as the plan found it: a file that was touched has the bytes that it had.
+    ranges : tuple of (int, int)
+        First record and number of those that are looked at, whole chunks; of them only points inside the area are
+        written. Empty: all points of the source are.
     """
 
     path: str
@@ -247,6 +250,7 @@ class WriteClassified:
     area: str | None = None
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
+    ranges: tuple[tuple[int, int], ...] = ()
 
     def place(self, buckets: Lattice) -> Bounds | None:
         """Bounds of the buckets."""

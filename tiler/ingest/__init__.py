@@ -19,6 +19,7 @@ from tiler.ingest.sources import (
     inspect_guarded,
     pieces,
     read_guarded,
+    window_pieces,
 )
 from tiler.ingest.spool import OUTSIDE_AREA, SpoolPiece, spool_piece
 from tiler.ingest.strays import Strays, find_strays
@@ -47,4 +48,5 @@ __all__ = [
     "pieces",
     "read_guarded",
     "spool_piece",
+    "window_pieces",
 ]

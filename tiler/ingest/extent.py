@@ -13,6 +13,7 @@ from tiler.errors import InputError
 from tiler.ingest.patches import Patch, find_patches
 from tiler.io.las.columns import returns
 from tiler.io.las.headers import LasHeader
+from tiler.io.las.octree import Octree
 from tiler.io.las.reader import COORDINATES, PointReader, Records, rows_at_once
 
 _PLACES = 16
@@ -30,6 +31,8 @@ SHARE = 1000
 FAR = 1000.0
 """Units of the CRS across which a point is far from another."""
 _TIMES = 4
+_LEVELS = 4
+"""Of an octree, whose squares tell how its points are spread: 256 of them at most."""
 
 Array = npt.NDArray[np.float64]
 
@@ -64,13 +67,13 @@ def few(number: int, total: int) -> bool:
     return number <= FEW and number * SHARE <= total
 
 
-def find_extent(header: LasHeader) -> Extent:
+def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
     """The bounds of a file.
 
     The header's where a sample of points fills them, but for a few strays, else those of all points. Where they
     reach so far beyond
     the sample that there must be strays, or emptiness, they end with the sample: a plan made with them
-    would be one for an area without points.
+    would be one for an area without points. Of an octree the root is the sample: its points span the whole file.
 
     Raises
     ------
@@ -79,10 +82,14 @@ def find_extent(header: LasHeader) -> Extent:
     """
     if header.point_count == 0:
         return Extent(None, False)
-    with PointReader(header, COORDINATES, _BLOCK_BYTES) as reader:
-        last = header.point_count - 1
-        starts = sorted({_chunk_start(header, last * i // (_PLACES - 1)) for i in range(_PLACES)})
-        sample = [reader.read(s, min(_SAMPLE, header.point_count - s)) for s in starts]
+    root = _root(header, octree)
+    with PointReader(header, COORDINATES, _BLOCK_BYTES, [root] if root else ()) as reader:
+        if root is not None:
+            sample = [reader.read(*root)]
+        else:
+            last = header.point_count - 1
+            starts = sorted({_chunk_start(header, last * i // (_PLACES - 1)) for i in range(_PLACES)})
+            sample = [reader.read(s, min(_SAMPLE, header.point_count - s)) for s in starts]
         most = max(int(returns(records, header.point_format)[1].max(initial=0)) for records in sample)
         near = _Hull.of(header, sample)
         claim = _Hull(np.array(header.mins), np.array(header.maxs))
@@ -105,10 +112,33 @@ def find_extent(header: LasHeader) -> Extent:
         claim, claimed = trimmed, False
         note = "a few of its points, or the bounds of its header, lie far from all others: the plan leaves them out"
     low, high = claim.low.tolist(), claim.high.tolist()
-    patches = find_patches(
-        [_plan_view(header, block) for block in sample], header.point_count, (*low[:2], *high[:2])
-    )
+    if octree is not None and header.laz is not None:
+        patches = _patches_of(octree, header.laz.counts.tolist(), (*low[:2], *high[:2]))
+    else:
+        patches = find_patches(
+            [_plan_view(header, block) for block in sample], header.point_count, (*low[:2], *high[:2])
+        )
     return Extent((*low, *high), claimed, note, patches, most)
+
+
+def _root(header: LasHeader, octree: Octree | None) -> tuple[int, int] | None:
+    """First record and number of those of the uppermost node with points; None without an octree."""
+    if octree is None or header.laz is None:
+        return None
+    counts = header.laz.counts.tolist()
+    _, chunk = min((key[0], number) for number, key in enumerate(octree.keys) if counts[number])
+    return sum(counts[:chunk]), min(counts[chunk], rows_at_once(header.record_length, _SCAN))
+
+
+def _patches_of(octree: Octree, counts: list[int], bounds: Sequence[float]) -> tuple[Patch, ...]:
+    """A patch for each square of an octree that holds points, as far as it lies within bounds."""
+    found = []
+    for key, points in octree.spread(counts, _LEVELS).items():
+        x0, y0, x1, y1 = octree.box(key)
+        x0, x1 = (min(max(x, bounds[0]), bounds[2]) for x in (x0, x1))
+        y0, y1 = (min(max(y, bounds[1]), bounds[3]) for y in (y0, y1))
+        found.append(Patch(x0, y0, x1, y1, points))
+    return tuple(found)
 
 
 def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _Hull) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,9 +15,11 @@ from tiler.errors import InputError
 from tiler.ingest.extent import find_extent
 from tiler.ingest.georeference import Georeference, georeference
 from tiler.ingest.patches import Patch
+from tiler.io.cloud_reading import fetched_bytes
 from tiler.io.las.columns import RGB_FORMATS
-from tiler.io.las.headers import read_header
-from tiler.io.las.laz import LazLayout
+from tiler.io.las.headers import LasHeader, read_header
+from tiler.io.las.laz import LazDamage, LazLayout
+from tiler.io.las.octree import Octree, read_octree
 from tiler.io.las.reader import count_decodable, rows_at_once
 from tiler.io.locations import State, stat_cloud
 from tiler.schedule.guard import Died, Guard
@@ -61,6 +64,12 @@ class SourceInfo:
         How the points are spread, estimated from a few.
     chunks : int, or tuple of int
         Points of each chunk of a LAZ file, one number where all but the last have the same; 0 where there is none.
+    octree : Octree or None
+        Of a COPC file.
+    octree_damage : str
+        Why a COPC file has none that can be used.
+    fetched : int
+        Bytes that were read of it for all this, where it is at a URL.
     created : tuple of int
         Year and day of the year on which the file was made, as its header says; 0 where it does not.
     """
@@ -85,6 +94,9 @@ class SourceInfo:
     patches: tuple[Patch, ...] = ()
     chunks: int | tuple[int, ...] = 0
     created: tuple[int, int] = (0, 0)
+    octree: Octree | None = None
+    octree_damage: str = ""
+    fetched: int = 0
 
     @property
     def size(self) -> int:
@@ -117,13 +129,15 @@ class SourceInfo:
 
 def inspect(path: Path, salvage: bool = False) -> SourceInfo:
     """What a file holds, checked against its bytes and a sample of its points; raises InputError."""
+    before = fetched_bytes()
     header = read_header(path, salvage)
     header = replace(header, point_count=count_decodable(header))
     notes = list(header.notes)
     if header.point_count == 0:
         notes.append("has no points")
     place = georeference(header)
-    extent = find_extent(header)
+    octree, damage = _octree(header)
+    extent = find_extent(header, octree)
     if extent.note:
         notes.append(extent.note)
     return SourceInfo(
@@ -147,7 +161,20 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         patches=extent.patches,
         chunks=_chunks(header.laz),
         created=header.created,
+        octree=octree,
+        octree_damage=damage,
+        fetched=fetched_bytes() - before,
     )
+
+
+def _octree(header: LasHeader) -> tuple[Octree | None, str]:
+    """The octree of a COPC file, or why it cannot be used."""
+    if not header.point_count or not any(v.is_copc for v in header.vlrs):
+        return None, ""
+    try:
+        return read_octree(header), ""
+    except LazDamage as damage:
+        return None, str(damage)
 
 
 def inspect_guarded(guard: Guard, path: Path, salvage: bool = False) -> SourceInfo:
@@ -195,6 +222,39 @@ def pieces(info: SourceInfo, size: int = 1_000_000) -> list[tuple[int, int]]:
     if 0 < info.chunks <= largest:
         step = max(size // info.chunks, 1) * info.chunks
     return [(start, min(step, info.points - start)) for start in range(0, info.points, step)]
+
+
+def window_pieces(
+    info: SourceInfo, chunks: Sequence[int], size: int = 1_000_000
+) -> list[tuple[tuple[int, int], ...]]:
+    """The records of some chunks in pieces of about ``size`` points, each of one or more ranges (start, count).
+
+    Parameters
+    ----------
+    info : SourceInfo
+        Of a file whose chunks have their own sizes.
+    chunks : sequence of int
+        Numbers of chunks, ascending.
+    size : int
+    """
+    counts = [info.chunks] * len(chunks) if isinstance(info.chunks, int) else info.chunks
+    starts = [0, *accumulate(counts)]
+    found: list[list[tuple[int, int]]] = []
+    room = 0
+    for chunk in chunks:
+        start, count = starts[chunk], counts[chunk]
+        if count == 0:
+            continue
+        if not found or count > room:
+            found.append([])
+            room = rows_at_once(info.record_length, size)
+        piece = found[-1]
+        if piece and sum(piece[-1]) == start:
+            piece[-1] = (piece[-1][0], piece[-1][1] + count)
+        else:
+            piece.append((start, count))
+        room -= count
+    return [tuple(piece) for piece in found]
 
 
 def _chunks(layout: LazLayout | None) -> int | tuple[int, ...]:

@@ -13,6 +13,7 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
 from tiler.ingest.requantise import fits_int32, to_counts
+from tiler.io.cloud_reading import fetched_bytes
 from tiler.io.las.columns import class_and_flags, colours, returns
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import NEEDED, PointReader, Records
@@ -51,6 +52,8 @@ class SpoolPiece:
         Of the piece, whatever is wanted of it.
     stamp : list or None
         Of the source, as the plan found it.
+    ranges : tuple of (int, int)
+        First record and number of each part of the piece, where it is not all one; then ``count`` is their sum.
     """
 
     path: str
@@ -63,6 +66,7 @@ class SpoolPiece:
     extent: Bounds | None = None
     identity: str | None = None
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
+    ranges: tuple[tuple[int, int], ...] = ()
 
 
 def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
@@ -79,22 +83,24 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
         ``read``, ``stored``, ``outside`` (usable points outside of ``extent``), ``dropped`` (reason to number),
         ``largest_rounding`` (CRS units), ``buckets`` ([[ix, iy, number], ...] in the order of the piece), ``left`` (the
         same of buckets that are not wanted), ``bounds`` (half-open absolute counts, or None), ``z`` ([lowest, highest]
-        in counts, or None), ``identity``.
+        in counts, or None), ``identity``, ``fetched`` (bytes of a source at a URL).
 
     Raises
     ------
     InputError
         The points cannot be decoded, or the file is no longer the one that the plan read.
     """
-    store = open_store(store_url)
+    store, before = open_store(store_url), fetched_bytes()
     frame, lattice = store.meta.frame, store.meta.bucket
     with (
         unchanged(cloud_path(work.path), work.stamp, work.salvage) as header,
-        PointReader(header, NEEDED) as reader,
+        PointReader(header, NEEDED, ranges=work.ranges) as reader,
     ):
-        records = reader.read(work.start, work.count)
+        ranges = work.ranges or ((work.start, work.count),)
+        records = np.concatenate([reader.read(start, count) for start, count in ranges])
+    rows = np.concatenate([np.arange(start, start + count, dtype=np.int64) for start, count in ranges])
     local, keep, dropped, rounding = place(records, header, frame)
-    block = columns(records, header, local, work.source, work.start, store.meta.has_rgb).take(keep)
+    block = columns(records, header, local, work.source, rows, store.meta.has_rgb).take(keep)
     outside = () if work.extent is None else ~block.inside(work.extent, frame.origin)
     order, index = sort_by_bucket(block.xyz, frame, lattice)
     order, index, left = _of_buckets(order, index, work.wanted)
@@ -112,6 +118,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
         "buckets": [list(entry) for entry in index],
         "left": [list(entry) for entry in left],
         "identity": work.identity,
+        "fetched": fetched_bytes() - before,
         **extent(block, frame),
     }
 
@@ -141,14 +148,18 @@ def place(
 
 
 def columns(
-    records: Records, header: LasHeader, local: npt.NDArray[np.int32], source: int, start: int, has_rgb: bool
+    records: Records,
+    header: LasHeader,
+    local: npt.NDArray[np.int32],
+    source: int,
+    rows: npt.NDArray[np.int64],
+    has_rgb: bool,
 ) -> PointBlock:
     """All columns of the records; colours are 0 where the store has them and the source has none."""
     classification, flags = class_and_flags(records, header.point_format)
     rgb = colours(records, header.point_format) if has_rgb else None
     if has_rgb and rgb is None:
         rgb = np.zeros((3, len(records)), dtype=np.uint16)
-    rows = np.arange(start, start + len(records), dtype=np.int64)
     return PointBlock(
         local, classification, flags, returns(records, header.point_format), rgb, pack_origin(source, rows)
     )

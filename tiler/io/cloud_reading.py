@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -15,8 +16,19 @@ KEPT_BLOCKS = 8
 """Blocks of an object that are kept while it is read: those of its header, its table and its points."""
 
 
-def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES) -> BinaryIO:
-    """Open for reading, anywhere in it, in pieces of ``block_bytes`` where it is a URL; raises OSError."""
+_fetched = [0]
+
+
+def fetched_bytes() -> int:
+    """Bytes that this process has read of objects at URLs so far."""
+    return _fetched[0]
+
+
+def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES, parts: Sequence[tuple[int, int]] = ()) -> BinaryIO:
+    """Open for reading, anywhere in it, in pieces of ``block_bytes`` where it is a URL; raises OSError.
+
+    Of a URL ``parts`` (first and end byte of each) are read at once, each with one request.
+    """
     if not is_url(path):
         return open(path, "rb")
     from fsspec.caching import BlockCache
@@ -27,8 +39,29 @@ def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES) -> BinaryIO:
         if isinstance(opened, AbstractBufferedFile):
             # A decoder jumps between the points, their table at the end and the header: each block is asked for once.
             # Not by options of `open`: not all file systems take them.
-            opened.cache = BlockCache(block_bytes, opened._fetch_range, opened.size, KEPT_BLOCKS)
-        return cast(BinaryIO, _Guarded(opened))
+            opened.cache = BlockCache(block_bytes, _counted(opened._fetch_range), opened.size, KEPT_BLOCKS)
+        return cast(BinaryIO, _Guarded(opened, _read_parts(opened, cast(Any, path), parts)))
+
+
+def _counted(fetch: Callable[[int, int], bytes]) -> Callable[[int, int], bytes]:
+    def counting(start: int, end: int) -> bytes:
+        data = fetch(start, end)
+        _fetched[0] += len(data)
+        return data
+
+    return counting
+
+
+def _read_parts(opened: Any, path: Any, parts: Sequence[tuple[int, int]]) -> list[tuple[int, bytes]]:
+    """First byte and content of each part; several are asked for at a time."""
+    if not parts:
+        return []
+    starts, ends = zip(*parts, strict=True)
+    found = opened.fs.cat_ranges([path.path] * len(parts), list(starts), list(ends), on_error="raise")
+    _fetched[0] += sum(map(len, found))
+    if any(len(data) != end - start for data, (start, end) in zip(found, parts, strict=True)):
+        raise OSError("its server gives no parts of files, no range requests; download it")
+    return list(zip(starts, found, strict=True))
 
 
 def digest_of_file(path: Path) -> str:
@@ -42,7 +75,9 @@ def digest_of_file(path: Path) -> str:
 
 def second_view(file: BinaryIO, path: Path) -> BinaryIO:
     """The same file once more, with a place of its own; of a URL with the blocks that were asked for already."""
-    return cast(BinaryIO, _Guarded(file.shared)) if isinstance(file, _Guarded) else open(path, "rb")
+    if isinstance(file, _Guarded):
+        return cast(BinaryIO, _Guarded(file.shared, file.parts))
+    return open(path, "rb")
 
 
 class _Guarded(io.RawIOBase):
@@ -52,10 +87,12 @@ class _Guarded(io.RawIOBase):
     ----------
     shared : file object
         Left open: nothing but its blocks are to be freed, and others may read it.
+    parts : sequence of (int, bytes)
+        First byte and content of parts that were read already.
     """
 
-    def __init__(self, shared: Any) -> None:
-        self.shared = shared
+    def __init__(self, shared: Any, parts: Sequence[tuple[int, bytes]] = ()) -> None:
+        self.shared, self.parts = shared, parts
         self._place = 0
 
     def readable(self) -> bool:
@@ -75,6 +112,12 @@ class _Guarded(io.RawIOBase):
         return self._place
 
     def readinto(self, target: Any) -> int:
+        for start, content in self.parts:
+            if start <= self._place < start + len(content):
+                known = content[self._place - start :][: len(target)]
+                target[: len(known)] = known
+                self._place += len(known)
+                return len(known)
         with storage_errors():
             self.shared.seek(self._place)
             try:

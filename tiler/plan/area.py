@@ -8,7 +8,7 @@ from pathlib import Path
 from tiler.config import RunConfig
 from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.errors import ConfigError
+from tiler.errors import ConfigError, InputError
 from tiler.ingest import SourceInfo, bounds_in_counts
 from tiler.io.vector.areas import read_area
 from tiler.plan.model import Plan
@@ -64,6 +64,8 @@ def part_of(plan: Plan) -> Plan:
         return plan
     option = "--bounds" if plan.config.aoi is None else f"--aoi {plan.config.aoi}"
     near = [s for s in plan.sources if s.points and plan.area.touches(bounds_of(s).pad(plan.margin))]
+    near, damaged = _with_octree(plan, near, option)
+    near = [s for s in near if plan.chunks_of(s) != []]
     if not near or not plan.area.touches(plan.extent):
         west, south, east, north = (v / COUNTS_PER_UNIT for v in plan.area.bounds.to_json())
         x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
@@ -71,7 +73,7 @@ def part_of(plan: Plan) -> Plan:
             f"{option}: ({west:.10g}, {south:.10g}) to ({east:.10g}, {north:.10g}) holds nothing of the clouds, "
             f"which lie in ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}) in units of their CRS"
         )
-    left = sum(bool(s.points) for s in plan.sources) - len(near)
+    left = sum(bool(s.points) for s in plan.sources) - len(near) - len(damaged)
     notes = [
         f"{option}: points within {_metres(plan, plan.margin):g} m of it are read as well, so that its border shows "
         f"in no result{_nearer(plan)}"
@@ -85,12 +87,30 @@ def part_of(plan: Plan) -> Plan:
     return dataclasses.replace(
         plan,
         sources=tuple(near),
+        unreadable=(*plan.unreadable, *damaged),
         points=points,
         area_m2=float(part),
         extent=extent,
         names={path: name for path, name in plan.names.items() if path in {s.path for s in near}},
         notes=(*plan.notes, *notes),
     )
+
+
+def _with_octree(
+    plan: Plan, sources: list[SourceInfo], option: str
+) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
+    """Files but those that say they are COPC and whose octree cannot be used; path and reason of these."""
+    damaged = [
+        (
+            str(s.path),
+            f"{s.path}: {s.octree_damage}; get the file again, or run without {option.split()[0]}",
+        )
+        for s in sources
+        if s.octree_damage
+    ]
+    if damaged and (plan.config.on_error == "stop" or len(damaged) == len(sources)):
+        raise InputError(damaged[0][1])
+    return [s for s in sources if not s.octree_damage], damaged
 
 
 def _nearer(plan: Plan) -> str:

@@ -125,9 +125,12 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     density_map = DensityMap(patches, metres)
     workers = config.workers or machine.cores()
     memory = config.memory or machine.fair_share(workers)
+    bucket = sizes.bucket_m(density, density_map, memory)
+    if found.area is not None and any(is_url(s.path) and s.octree is not None for s in filled):
+        bucket = min(bucket, sizes.FETCHED_BUCKET_M)
     meta = StoreMeta(
         frame=frame,
-        bucket=Lattice(frame.counts(Fraction(sizes.bucket_m(density, density_map, memory)))),
+        bucket=Lattice(frame.counts(Fraction(bucket))),
         fine=Lattice(frame.counts(FINE_CELL_M)),
         has_rgb=any(s.has_rgb for s in filled),
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -14,6 +15,7 @@ from tiler.config import RunConfig
 from tiler.core.area import Area, Runs
 from tiler.core.breaklines import Counts
 from tiler.core.edits import Edit
+from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.stage_names import stage_title
@@ -205,6 +207,28 @@ class Plan:
         if extent is None:  # its points may be anywhere
             extent = self.area.bounds.pad(self.margin)
         return self.area.cells(self.meta.bucket, extent, self.margin)
+
+    def chunks_of(self, source: SourceInfo) -> list[int] | None:
+        """The chunks of a COPC file that can hold points which are read; None for all, and for other files."""
+        wanted = self.buckets_of(source)
+        if wanted is None or source.octree is None:
+            return None
+        rows: dict[int, list[tuple[int, int]]] = defaultdict(list)
+        for iy, first, end in wanted:
+            rows[iy].append((first, end))
+        near: dict[tuple[int, int, int], bool] = {}
+        for key in source.octree.keys:
+            if key not in near:
+                near[key] = self._touches(source.octree.box(key), rows)
+        return [chunk for chunk, key in enumerate(source.octree.keys) if near[key]]
+
+    def _touches(self, box: Sequence[float], rows: Mapping[int, Sequence[tuple[int, int]]]) -> bool:
+        """Whether a square, and a unit around it as some writers round carelessly, holds one of some buckets."""
+        low, high = ([(v + pad) * COUNTS_PER_UNIT for v in box[i : i + 2]] for i, pad in ((0, -1), (2, 1)))
+        west, south = (self.meta.bucket.index_of(math.floor(v)) for v in low)
+        east, north = (self.meta.bucket.index_of(math.ceil(v)) for v in high)
+        inside = (iy for iy in rows if south <= iy <= north)
+        return any(first <= east and end > west for iy in inside for first, end in rows[iy])
 
     @property
     def density(self) -> float:

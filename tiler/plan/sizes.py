@@ -18,6 +18,8 @@ from tiler.store import StoreMeta
 
 BUCKET_POINTS = 100_000
 BUCKETS_M = (8, 16, 32, 64, 128, 256, 512, 1024)
+FETCHED_BUCKET_M = 32
+"""At most, where only a part of a file at a URL is fetched: buckets are whole, also at the edge of that part."""
 TILE_M = 512
 TILE_POINTS = 500_000
 """So many points a tile of a sparse cloud holds, up to `SPARSE_TILE_M`: a task costs more than a few points do."""

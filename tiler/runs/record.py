@@ -37,6 +37,7 @@ class Facts(TypedDict, total=False):
     inputs: list[
         dict[str, Any]
     ]  # each source, with the digest of its bytes and the points that are stored of it
+    fetched: dict[str, int]  # bytes of inputs at URLs: for the plan, of points, for classified clouds
     counts: dict[str, Any]  # points read, stored, dropped by reason, duplicates, strays, buckets
     strays: list[dict[str, Any]]  # each point that is far from all others of its file
     statistics: dict[str, Any]  # state after each pass of the method

@@ -20,7 +20,17 @@ from tiler.core.raster import RasterSpec
 from tiler.core.units import unit_label
 from tiler.export import WriteText, stac, write_text
 from tiler.io.locations import joined
-from tiler.io.result_folder import CLASSIFIED, OUTLINE, REPORT, SHEET_ITEMS, SHEETS, STAC, VIRTUAL, WATER
+from tiler.io.result_folder import (
+    BRIDGES,
+    CLASSIFIED,
+    OUTLINE,
+    REPORT,
+    SHEET_ITEMS,
+    SHEETS,
+    STAC,
+    VIRTUAL,
+    WATER,
+)
 from tiler.plan import KEEP
 from tiler.schedule import Task, digest_of
 from tiler.stages.file_tasks import Sheet, name_of, nodata_of, sheets
@@ -253,7 +263,7 @@ class _Catalogue:
     def _besides(self) -> dict[str, Any]:
         """The assets that are no rasters."""
         found: dict[str, Any] = {}
-        drawn = [OUTLINE, WATER, SHEETS, *(f"{name}.gpkg" for name in self._plan.config.drawn)]
+        drawn = [OUTLINE, WATER, BRIDGES, SHEETS, *(f"{name}.gpkg" for name in self._plan.config.drawn)]
         for name in (name for name in drawn if name in self._written):
             found[name.removesuffix(".gpkg")] = {"href": f"./{name}", "type": _GPKG, "roles": ["data"]}
         if self.clouds:

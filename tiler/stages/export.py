@@ -62,6 +62,8 @@ def export(
     made = _write(job, "export", tasks, out)
     _tell_of_contours(job)
     _tell_of_outline(job)
+    if "fetched" in job.facts:
+        job.facts["fetched"]["classified"] = sum(r.get("fetched", 0) for _, r in made.values())
     if mosaics or job.store.committed("mosaic"):
         mosaics += index_tasks(tasks, made, out)
         made |= _write(job, "mosaic", mosaics, out)

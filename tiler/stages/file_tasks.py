@@ -29,10 +29,10 @@ from tiler.export import (
 )
 from tiler.export.work import SheetFile
 from tiler.filter import LABELS
-from tiler.ingest import claimed_bounds
-from tiler.io.locations import joined, location
+from tiler.ingest import SourceInfo, claimed_bounds, window_pieces
+from tiler.io.locations import is_url, joined, location
 from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS
-from tiler.plan import Plan
+from tiler.plan import PIECE_POINTS, Plan
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.ingest_tasks import Source, by_source
@@ -224,6 +224,13 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
     }
 
 
+def _window(plan: Plan, info: SourceInfo) -> tuple[tuple[int, int], ...]:
+    """Records of a source of which the run fetched only a part; none for one that is read whole."""
+    chunks = plan.chunks_of(info) if is_url(info.path) else None
+    found = [] if chunks is None else window_pieces(info, chunks, PIECE_POINTS)
+    return tuple(records for ranges in found for records in ranges)
+
+
 def classified_tasks(
     plan: Plan,
     sources: Iterable[Source],
@@ -247,6 +254,8 @@ def classified_tasks(
             salvage=plan.config.salvage,
             area=None if whole else area_key(plan),
             stamp=source.info.stamp,
+            ranges=_window(plan, source.info),
         )
         digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells], "statistics")
-        yield Task("export", f"c{source.number:06d}", digest, write_classified, work, source.info.points)
+        points = sum(count for _, count in work.ranges) or source.info.points
+        yield Task("export", f"c{source.number:06d}", digest, write_classified, work, points)

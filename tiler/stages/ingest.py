@@ -62,6 +62,9 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     job.facts["inputs"] = [
         {**s.info.to_json(), "content": s.content, "stored": stored_of.get(s.name, 0)} for s in sources
     ]
+    if any(is_url(s.info.path) for s in sources):
+        points = sum(r["fetched"] for r in records)
+        job.facts["fetched"] = {"plan": sum(s.fetched for s in job.plan.sources), "points": points}
     if rounding > 0:
         job.note(f"coordinates were rounded to counts for filtering, by {rounding:.3g} CRS units at most")
     for reason, count in dropped.items():
@@ -76,6 +79,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
 def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, str]:
     """Name -> reason of sources whose points lie where neither header nor sample said, and where no raster reaches."""
     records = by_source(spooled)
+    sources = [s for s in sources if s.name in records]  # of others no part can lie near the area
     held = {
         s.name: sum(r["stored"] + r["dropped"].get(OUTSIDE_AREA, 0) for r in records[s.name]) for s in sources
     }

@@ -19,6 +19,7 @@ from tiler.ingest import (
     find_strays,
     pieces,
     spool_piece,
+    window_pieces,
 )
 from tiler.io.locations import location
 from tiler.plan import PIECE_POINTS, Plan
@@ -54,9 +55,10 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
     for source in sources:
         wanted = plan.buckets_of(source.info)
         claimed = claimed_bounds(source.info)
-        for start, count in pieces(source.info, PIECE_POINTS):
+        for start, count, ranges in _pieces(plan, source.info):
             key = f"{source.name}-{start:012d}"
-            identity = digest_of(source.identity, source.number, start, count, claimed, plan.meta.to_json())
+            parts = [source.identity, source.number, start, count, claimed, plan.meta.to_json()]
+            identity = digest_of(*parts, *([ranges] if ranges else []))
             work = SpoolPiece(
                 location(source.info.path),
                 source.number,
@@ -68,8 +70,19 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
                 extent=claimed,
                 identity=identity,
                 stamp=source.info.stamp,
+                ranges=ranges,
             )
             yield Task("spool", key, digest_of(identity, wanted), spool_piece, work, count)
+
+
+def _pieces(plan: Plan, info: SourceInfo) -> Iterator[tuple[int, int, tuple[tuple[int, int], ...]]]:
+    """First record, number of records, and their ranges if they are not all that lie between, of each piece."""
+    chunks = plan.chunks_of(info)
+    if chunks is None:
+        yield from ((start, count, ()) for start, count in pieces(info, PIECE_POINTS))
+        return
+    for ranges in window_pieces(info, chunks, PIECE_POINTS):
+        yield ranges[0][0], sum(count for _, count in ranges), ranges
 
 
 def by_source(spooled: Commits) -> dict[str, list[dict[str, Any]]]:

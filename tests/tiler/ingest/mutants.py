@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tiler.core.frame import CoordFrame
 from tiler.errors import InputError
 from tiler.ingest import inspect, pieces
@@ -80,7 +82,7 @@ def read_whole(path: Path, salvage: bool) -> Reading:
                 digest.update(records.tobytes())
                 local, keep, dropped, _ = place(records, header, CoordFrame())
                 assert int(keep.sum()) + sum(dropped.values()) == len(records) == count
-                columns(records, header, local, 0, start, True)
+                columns(records, header, local, 0, np.arange(points, points + count), True)
                 points, placed = points + count, placed + int(keep.sum())
         assert points == info.points
         return Reading(points, placed, digest.hexdigest(), peak_rss_bytes())

@@ -164,6 +164,7 @@ def test_a_piece_without_points_writes_nothing(make_cloud: Any, memory_store: An
         "bounds": None,
         "z": None,
         "identity": "of k",
+        "fetched": 0,
     }
     assert memory_store.pieces == {}
 

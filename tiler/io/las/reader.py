@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -81,14 +81,25 @@ class PointReader:
         Layers to decode (`NEEDED`, `EVERYTHING`, `COORDINATES`); only point formats 6 to 10 have layers.
     block_bytes : int
         Asked for at once, of a cloud at a URL.
+    ranges : sequence of (int, int)
+        First record and number of those that will be read: whole chunks, of which alone bytes are asked for. Empty:
+        any. Each is read from its beginning to its end.
     """
 
-    def __init__(self, header: LasHeader, selection: int = NEEDED, block_bytes: int = BLOCK_BYTES) -> None:
-        self.header = header
+    def __init__(
+        self,
+        header: LasHeader,
+        selection: int = NEEDED,
+        block_bytes: int = BLOCK_BYTES,
+        ranges: Sequence[tuple[int, int]] = (),
+    ) -> None:
+        self.header, self._stops = header, {start: start + count for start, count in ranges}
         self.dtype = record_dtype(header.point_format, header.record_length)
         self._selection = selection
         with decoding(header.path):
-            self._file: BinaryIO = open_cloud(header.path, block_bytes)  # closed by close()
+            self._file: BinaryIO = open_cloud(
+                header.path, block_bytes, _parts(header, ranges)
+            )  # closed by close()
             # The decoder goes on where it left its file: checks of what comes next use another one.
             self._probe: BinaryIO = second_view(self._file, header.path)
         self._decoder: Any = None
@@ -130,26 +141,28 @@ class PointReader:
 
     def _read_compressed(self, layout: LazLayout, start: int, count: int) -> bytearray:
         first = stop = 0
+        ends = np.cumsum(layout.counts)
         if layout.sizes.size:
-            ends = np.cumsum(layout.counts)
             first, last = (int(i) for i in np.searchsorted(ends, (start, start + count - 1), side="right"))
             stop = last + 1
             if layout.layers:
                 check_layers(self._probe, layout, self.header.points_offset, first, stop)
-        if self._decoder is None or start != self._next:
-            self._decoder, self._next = self._open_decoder(layout, start, first)
+        if self._decoder is None or start != self._next or start in self._stops:
+            known = self._stops.get(start)  # the decoder must not reach for what was not asked for
+            end = None if known is None else int(np.searchsorted(ends, known - 1, side="right")) + 1
+            self._decoder, self._next = self._open_decoder(layout, start, first, end)
             self._skip(start - self._next)
         raw = bytearray(count * self.header.record_length)
         self._decoder.decompress_many(raw)
         self._next = start + count
         return raw
 
-    def _open_decoder(self, layout: LazLayout, start: int, chunk: int) -> tuple[Any, int]:
+    def _open_decoder(self, layout: LazLayout, start: int, chunk: int, stop: int | None) -> tuple[Any, int]:
         """A decoder, and the record that it would decode next: ``start``, or one before in its chunk.
 
         lazrs seeks right only where all chunks have the same number of points and a table (with chunks
         of their own sizes it lands, without a word, on other points): elsewhere it is given a view of
-        the file that begins with the wanted chunk.
+        the file that begins with the wanted chunk, and ends before chunk ``stop``.
         """
         selection = lazrs.DecompressionSelection(self._selection)
         if layout.chunk_size is not None and not layout.rebuilt:
@@ -160,7 +173,9 @@ class PointReader:
         data = self.header.points_offset + 8
         if layout.sizes.size:
             skipped, before = int(layout.sizes[:chunk].sum()), int(layout.counts[:chunk].sum())
-            chunks = list(zip(layout.counts[chunk:].tolist(), layout.sizes[chunk:].tolist(), strict=True))
+            chunks = list(
+                zip(layout.counts[chunk:stop].tolist(), layout.sizes[chunk:stop].tolist(), strict=True)
+            )
         else:
             skipped, before = 0, 0
             chunks = [(layout.chunk_size or 1, self.header.size - data)]
@@ -173,6 +188,22 @@ class PointReader:
             step = min(most, count)
             self._decoder.decompress_many(bytearray(step * self.header.record_length))
             count -= step
+
+
+def _parts(header: LasHeader, ranges: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """First and end byte of the chunks that hold some ranges of records; neighbours are one."""
+    if not ranges or header.laz is None:
+        return []
+    ends = np.cumsum(header.laz.counts)
+    offsets = header.points_offset + 8 + np.concatenate([[0], np.cumsum(header.laz.sizes)])
+    found: list[tuple[int, int]] = []
+    for start, count in ranges:
+        first, last = np.searchsorted(ends, (start, start + count - 1), side="right").tolist()
+        begin, end = int(offsets[first]), int(offsets[last + 1])
+        if found and found[-1][1] == begin:
+            begin = found.pop()[0]
+        found.append((begin, end))
+    return found
 
 
 class _ChunkView(io.RawIOBase):
