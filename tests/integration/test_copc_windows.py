@@ -16,6 +16,7 @@ from tests.scenes.copc_files import write_copc
 from tests.tiler.servers import http_server
 from tiler.errors import InputError
 from tiler.ingest import inspect
+from tiler.io.las.extract import cut_windows, sample_places
 from tiler.plan import Plan
 
 WINDOW = {
@@ -108,3 +109,16 @@ def test_a_damaged_octree_is_one_line(where: str, copc: Path, tmp_path: Path) ->
 def test_fetched_bytes_are_in_run_json(copc: Path, tmp_path: Path) -> None:
     do(copc, tmp_path / "out", **WINDOW, until="ingest")
     assert "fetched" not in json.loads((tmp_path / "out/run.json").read_text())  # of files on a disk
+
+
+def test_windows_cut_by_the_octree_hold_all_their_points(copc: Path, tmp_path: Path) -> None:
+    box = (500050.0, 5400050.0, 500080.0, 5400090.0)
+    octree = inspect(copc).octree
+    counts = [
+        cut_windows(copc, [box], [str(tmp_path / name)], octree=tree)
+        for name, tree in (("all.las", None), ("near.las", octree))
+    ]
+    assert counts[0] == counts[1] != [0]
+    assert (tmp_path / "all.las").read_bytes() == (tmp_path / "near.las").read_bytes()
+    places = sample_places(copc, 20, octree=octree)
+    assert np.ptp(np.array(places), axis=0).min() > 150  # of 200 m

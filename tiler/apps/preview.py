@@ -147,7 +147,7 @@ def _places(guard: Guard, sources: Sequence[SourceInfo], salvage: bool) -> list[
     each = max(PLACES // len(chosen), 1)
     places = []
     for source in (sources[i] for i in chosen):
-        places += read_guarded(guard, sample_places, source.path, each, salvage)
+        places += read_guarded(guard, sample_places, source.path, each, salvage, source.octree)
     return places
 
 
@@ -195,7 +195,8 @@ def _cut(
         if not mine:
             continue
         targets = [str(scratch / f"w{i}-{number}.las") for i in mine]
-        counts = read_guarded(guard, cut_windows, source.path, [windows[i] for i in mine], targets, salvage)
+        wanted = [windows[i] for i in mine]
+        counts = read_guarded(guard, cut_windows, source.path, wanted, targets, salvage, source.octree)
         for i, path, count in zip(mine, targets, counts, strict=True):
             files[i] += [path] if count else []
     if not any(files):

@@ -82,7 +82,7 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
     """
     if header.point_count == 0:
         return Extent(None, False)
-    root = _root(header, octree)
+    root = None if octree is None else octree.root(header, rows_at_once(header.record_length, _SCAN))
     with PointReader(header, COORDINATES, _BLOCK_BYTES, [root] if root else ()) as reader:
         if root is not None:
             sample = [reader.read(*root)]
@@ -119,15 +119,6 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
             [_plan_view(header, block) for block in sample], header.point_count, (*low[:2], *high[:2])
         )
     return Extent((*low, *high), claimed, note, patches, most)
-
-
-def _root(header: LasHeader, octree: Octree | None) -> tuple[int, int] | None:
-    """First record and number of those of the uppermost node with points; None without an octree."""
-    if octree is None or header.laz is None:
-        return None
-    counts = header.laz.counts.tolist()
-    _, chunk = min((key[0], number) for number, key in enumerate(octree.keys) if counts[number])
-    return sum(counts[:chunk]), min(counts[chunk], rows_at_once(header.record_length, _SCAN))
 
 
 def _patches_of(octree: Octree, counts: list[int], bounds: Sequence[float]) -> tuple[Patch, ...]:

@@ -11,18 +11,24 @@ import numpy.typing as npt
 
 from tiler.io.cloud_reading import open_cloud
 from tiler.io.las.headers import LasHeader, read_header
-from tiler.io.las.reader import EVERYTHING, PointReader, Records, rows_at_once
+from tiler.io.las.octree import Octree
+from tiler.io.las.reader import COORDINATES, EVERYTHING, PointReader, Records, rows_at_once
 
 _STEP = 1_000_000
 _PLACE_POINTS = 1000
 _PLACE_STEP = 250
+_OF_PLACE = _PLACE_POINTS // _PLACE_STEP
+_BLOCK_BYTES = 1 << 16
+"""Of an object read at once: of its header, and of what stands before the points."""
 
 Box = tuple[float, float, float, float]
 """Lowest x, y, highest x, y in units of the CRS, half-open."""
 
 
-def sample_places(path: Path, places: int, salvage: bool = False) -> list[tuple[float, float]]:
-    """Where points lie: x, y of a few points at even distances in the file.
+def sample_places(
+    path: Path, places: int, salvage: bool = False, octree: Octree | None = None
+) -> list[tuple[float, float]]:
+    """Where points lie: x, y of a few points at even distances in the file, or of an octree's root.
 
     Parameters
     ----------
@@ -31,6 +37,8 @@ def sample_places(path: Path, places: int, salvage: bool = False) -> list[tuple[
         In the file, of four points each.
     salvage : bool
         As `tiler.io.las.headers.read_header` takes it.
+    octree : Octree, optional
+        Of the file.
 
     Raises
     ------
@@ -38,6 +46,11 @@ def sample_places(path: Path, places: int, salvage: bool = False) -> list[tuple[
         The file cannot be read.
     """
     header = read_header(path, salvage)
+    if octree is not None:
+        root = octree.root(header, rows_at_once(header.record_length, _STEP))
+        with PointReader(header, COORDINATES, _BLOCK_BYTES, [root]) as reader:
+            records = reader.read(*root)[:: max(root[1] // (places * _OF_PLACE), 1)]
+        return list(zip(*(_coordinate(records, header, axis).tolist() for axis in (0, 1)), strict=True))
     chunk = header.laz.chunk_size if header.laz is not None else None
     starts = {header.point_count * i // places for i in range(places)}
     if chunk:  # decoding begins with a chunk
@@ -52,7 +65,11 @@ def sample_places(path: Path, places: int, salvage: bool = False) -> list[tuple[
 
 
 def cut_windows(
-    path: Path, windows: Sequence[Box], targets: Sequence[str], salvage: bool = False
+    path: Path,
+    windows: Sequence[Box],
+    targets: Sequence[str],
+    salvage: bool = False,
+    octree: Octree | None = None,
 ) -> list[int]:
     """Write the points of each window into a file of its own; the points in each.
 
@@ -67,6 +84,8 @@ def cut_windows(
         A file for each window.
     salvage : bool
         As `tiler.io.las.headers.read_header` takes it.
+    octree : Octree, optional
+        Of the file, of which then only the nodes near the windows are read.
 
     Raises
     ------
@@ -75,10 +94,16 @@ def cut_windows(
     """
     header = read_header(path, salvage)
     parts: list[list[Records]] = [[] for _ in windows]
-    with PointReader(header, EVERYTHING) as reader:
-        step = rows_at_once(header.record_length, _STEP)
-        for start in range(0, header.point_count, step):
-            records = reader.read(start, min(step, header.point_count - start))
+    ranges = [] if octree is None else octree.near(header, windows)
+    spans = [(0, header.point_count)] if octree is None else ranges
+    step = rows_at_once(header.record_length, _STEP)
+    with PointReader(header, EVERYTHING, ranges=ranges) as reader:
+        for start, number in (
+            (at, min(step, first + count - at))
+            for first, count in spans
+            for at in range(first, first + count, step)
+        ):
+            records = reader.read(start, number)
             x, y = (_coordinate(records, header, axis) for axis in (0, 1))
             for (x0, y0, x1, y1), part in zip(windows, parts, strict=True):
                 inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
@@ -97,7 +122,7 @@ def _coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[n
 
 def _write(header: LasHeader, records: Records, target: Path) -> None:
     """Bytes 94 to 375 of a LAS header that speak of its points, LAS 1.4 R15 table 3; returns are not counted."""
-    with open_cloud(header.path) as source:
+    with open_cloud(header.path, _BLOCK_BYTES) as source:
         front = bytearray(source.read(header.points_offset))
     bounds = []
     for axis in range(3):

@@ -46,6 +46,29 @@ class Octree:
         x, y = self.west + column * side, self.south + row * side
         return x, y, x + side, y + side
 
+    def root(self, header: LasHeader, most: int) -> tuple[int, int]:
+        """First record and number, ``most`` at most, of those of the uppermost node with points."""
+        counts = [] if header.laz is None else header.laz.counts.tolist()
+        _, chunk = min((key[0], number) for number, key in enumerate(self.keys) if counts[number])
+        return sum(counts[:chunk]), min(counts[chunk], most)
+
+    def near(
+        self, header: LasHeader, boxes: Sequence[tuple[float, float, float, float]]
+    ) -> list[tuple[int, int]]:
+        """First record and number of those of nodes that come within a unit of some boxes; neighbours are one."""
+        counts = [] if header.laz is None else header.laz.counts.tolist()
+        found: list[tuple[int, int]] = []
+        start = 0
+        for key, count in zip(self.keys, counts, strict=True):
+            west, south, east, north = self.box(key)
+            if count and any(
+                w <= east + 1 and e >= west - 1 and s <= north + 1 and n >= south - 1 for w, s, e, n in boxes
+            ):
+                first = found.pop()[0] if found and sum(found[-1]) == start else start
+                found.append((first, start + count - first))
+            start += count
+        return found
+
     def spread(self, counts: Sequence[int], most_levels: int) -> dict[tuple[int, int, int], float]:
         """Squares of one level that hold points, and about how many; those above that level are shared out.
 
