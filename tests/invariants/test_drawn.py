@@ -185,6 +185,7 @@ def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_
     assert done == {
         "edits": 1,
         "grid-dtm": 1,
+        "water-search": 1,
         "grid-dtm-outlined": 1,
         "grid-occupancy": 1,
         "export": 2,
