@@ -338,7 +338,7 @@ def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
     assert by_name["medians"].sometimes
     assert not by_name["census"].sometimes
     spread = by_name["spread"]
-    assert "; not all of them apply to every cloud" in " ".join(plan_lines(plan))
+    assert "not all of which apply to every cloud" in " ".join(plan_lines(plan))
     assert plan.filter_peak(spread, 64, 8) > plan.filter_peak(by_name["rising"], 64, 8)
 
 
