@@ -165,7 +165,8 @@ def table(job: JobCost, others: dict[str, Cost] | None = None) -> str:
     rows = ["| stage | CPU s | wall s | CPU, decodes | wall, decodes |", "|---|---:|---:|---:|---:|"]
 
     def row(title: str, cost: Cost) -> str:
-        times = (cost.cpu / job.decode.cpu, cost.wall / job.decode.wall)
+        tick = 0.01  # what the system counts in: a small file may be decoded in none
+        times = (cost.cpu / max(job.decode.cpu, tick), cost.wall / max(job.decode.wall, tick))
         return f"| {title} | {cost.cpu:.1f} | {cost.wall:.1f} | {times[0]:.2f} | {times[1]:.2f} |"
 
     rows += [row(title, cost) for title, cost in job.stages.items()]

@@ -11,15 +11,15 @@ import pytest
 from tests.invariants import clouds
 from tests.invariants.runs import do
 from tiler.errors import ProcessingError
-from tiler.stages import file_tasks, tasks
+from tiler.stages import file_tasks, ingest_tasks, tasks
 
 WORKS = {
-    "spool_piece": tasks,
-    "assemble_buckets": tasks,
+    "spool_piece": ingest_tasks,
+    "assemble_buckets": ingest_tasks,
     "filter_tile": tasks,
     "grid_block": tasks,
     "write_cog": file_tasks,
-    "write_classified": tasks,
+    "write_classified": file_tasks,
 }
 
 
