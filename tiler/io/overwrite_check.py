@@ -53,7 +53,9 @@ def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> Non
             )
         for identity in _identities(target.path):
             if identity in known:
-                raise ConfigError(f"{named}: is an input ({known[identity]}); name another output")
+                raise ConfigError(
+                    f"{named}: is an input ({known[identity]}); name another output, or give a copy of it"
+                )
 
 
 def check_folder(option: str, folder: str | Path, others: Iterable[str | Path]) -> None:
