@@ -25,6 +25,7 @@ _METAVARS = {
     "int": "N",
     "preset": "NAME",
     "nodata": "VALUE",
+    "area": "AREA",
     "file": "FILE",
     "files": "FILE",
 }

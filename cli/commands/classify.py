@@ -37,7 +37,7 @@ SETTINGS = (
 def command(source: str, target: str, as_json: bool, **settings: Any) -> int:
     """One file to one classified file, with no store left behind.
 
-    OUT.laz gets the points of IN in the same order, with new classes. Needs no CRS: where IN has none, its
+    OUT.laz (or OUT.las) gets the points of IN in the same order, with new classes. Needs no CRS: where IN has none, its
     coordinates are taken for metres, or for what --units says. Where a tile fails its points keep the classes of IN:
     the tile is named, and the exit code is 5.
     """

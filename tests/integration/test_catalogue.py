@@ -172,3 +172,26 @@ def test_what_is_no_virtual_cloud_is_told_in_one_line(content: bytes, reason: st
         find_inputs([str(file)])
     assert reason in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_clouds_are_written_as_las_or_not_at_all(folder: Path, out: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    shutil.copytree(out, again)
+    plain = do(folder, again, **CITY, classified="las")
+    assert plain.summary["stages"]["filter0"]["computed"] == 0
+    for name in ("east/a b", "west/a b"):
+        las, laz = laspy.read(again / f"classified/{name}.las"), laspy.read(out / f"classified/{name}.laz")
+        assert las.points.array.tobytes() == laz.points.array.tobytes()
+        assert not las.header.are_points_compressed
+    (first, _) = read(again / "classified.vpc")["features"]
+    assert first["assets"]["data"] == {
+        "href": "./classified/east/a b.las", "type": "application/vnd.las", "roles": ["data"],
+    }  # fmt: skip
+    assert first["properties"]["pc:encoding"] == "LAS"
+    assert not list((again / "classified").rglob("*.laz"))
+    none = do(folder, again, **CITY, classified="none")
+    assert none.exit_code == 0
+    assert not (again / "classified.vpc").exists()
+    assert not list((again / "classified").rglob("*.las"))
+    assert set(read(again / "stac.json")["assets"]) == {"dtm", "outline", "report"}
+    assert (again / "dtm.tif").read_bytes() == (out / "dtm.tif").read_bytes()

@@ -31,7 +31,7 @@ def classify_file(
     Parameters
     ----------
     source, target : path
-        The target is LAZ and appears under its name only when it is whole.
+        The target is LAZ or LAS, by its name, and appears under its name only when it is whole.
     config : RunConfig
     listener : callable
         Told what happens, see `tiler.observe.events`.
@@ -52,7 +52,7 @@ def classify_file(
         raise ConfigError(
             "--method keep changes no class; `tiler run --method keep` grids what the input brings"
         )
-    check_targets([Target("", target, (".laz",))], [source])
+    check_targets([Target("", target, (".laz", ".las"))], [source])
     if not source.exists():
         raise ConfigError(f"{source}: no such file")
     with Guard() as guard:

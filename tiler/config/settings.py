@@ -151,6 +151,10 @@ class RunConfig:
         None, "smooth the heights for the contours by a Gaussian of this standard deviation; 0: not at all; default: "
         "2 pixels", unit="m", kind="length",
     )  # fmt: skip
+    classified: str = setting(
+        "laz", "the points with their new classes, OUT/classified: laz, las (larger, quicker to read), or none",
+        kind="choice", choices=("laz", "las", "none"),
+    )  # fmt: skip
     outline: str = setting(
         "survey",
         "where heights end: at the survey, the places with points and gaps of up to 20 m "

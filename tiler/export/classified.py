@@ -1,4 +1,4 @@
-"""Classified clouds: a source file again as LAZ, equal but for the classes that the run found.
+"""Classified clouds: a source file again as LAZ or LAS, equal but for the classes that the run found.
 
 laspy rewrites what it does not keep (text behind a NUL, reserved bytes, counts, dates, bytes between
 records); here the header and its records are copied as bytes, the positions in them moved, and only the
@@ -29,7 +29,7 @@ from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
 from tiler.io.las.records import VariableRecord
 from tiler.io.las.unchanged import refuse_changed, unchanged
-from tiler.io.las.writer import PointWriter, laszip_vlr
+from tiler.io.las.writer import PlainWriter, PointWriter, laszip_vlr
 from tiler.io.locations import cloud_path, folder_for, state_of
 from tiler.io.partial_files import partial_path
 from tiler.store import TileStore, open_store
@@ -42,6 +42,8 @@ _STEP = 10 * _CHUNK
 _COPY = 1 << 20
 _MARK = 0x80
 _WAVE_FORMATS = (9, 10)
+_COMPRESSED = 0x80
+"""Bit of the point format in the header of a LAZ file."""
 
 
 def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
@@ -79,15 +81,15 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
 
 def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path) -> dict[str, Any]:
     """Write a cloud on this machine; the record of `write_classified`."""
-    partial = partial_path(out)
+    partial, compressed = partial_path(out), out.suffix.lower() == ".laz"
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         block_bytes = (
             _COPY >> 4 if work.ranges else _COPY << 2
         )  # of a part, little but the header is asked for
         with open_cloud(header.path, block_bytes) as source, open(partial, "w+b") as target:
-            notes = _write_front(header, source, target)
-            record = _write_points(header, target, store, work)
+            notes = _write_front(header, source, target, compressed)
+            record = _write_points(header, target, store, work, compressed)
             _write_back(header, source, target)
             target.flush()
             os.fsync(target.fileno())
@@ -118,12 +120,15 @@ def _kept(records: Sequence[VariableRecord]) -> list[VariableRecord]:
     return [r for r in records if not r.is_copc]
 
 
-def _write_front(header: LasHeader, source: BinaryIO, target: BinaryIO) -> list[str]:
+def _write_front(header: LasHeader, source: BinaryIO, target: BinaryIO, compressed: bool) -> list[str]:
     """Header, VLRs and whatever lies between them and the points; returns notes."""
-    notes = ["COPC written as plain LAZ, without its octree"] if any(v.is_copc for v in header.vlrs) else []
+    form = "LAZ" if compressed else "LAS"
+    notes = (
+        [f"COPC written as plain {form}, without its octree"] if any(v.is_copc for v in header.vlrs) else []
+    )
     _copy(source, target, 0, header.header_size)
     written = 0
-    laszip_done = False
+    laszip_done = not compressed
     for vlr in _kept(header.vlrs):
         if vlr.is_laszip:
             if laszip_done:
@@ -139,7 +144,7 @@ def _write_front(header: LasHeader, source: BinaryIO, target: BinaryIO) -> list[
     _copy(source, target, header.vlrs[-1].end if header.vlrs else header.header_size, header.points_offset)
     points = target.tell()
     _patch(target, 94, "<HII", header.header_size, points, written)
-    _patch(target, 104, "<B", header.point_format | 0x80)
+    _patch(target, 104, "<B", header.point_format | (_COMPRESSED if compressed else 0))
     _patch_counts(header, target)
     target.seek(points)
     return notes
@@ -166,7 +171,7 @@ def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
 
 
 def _write_points(
-    header: LasHeader, target: BinaryIO, store: TileStore, work: WriteClassified
+    header: LasHeader, target: BinaryIO, store: TileStore, work: WriteClassified, compressed: bool
 ) -> dict[str, Any]:
     """All records in their order with their new classes."""
     classes = np.zeros(256, dtype=np.int64)
@@ -175,7 +180,7 @@ def _write_points(
     statistics = CloudStatistics(header)
     highest = LEGACY_CLASS_MASK if is_legacy(header.point_format) else 255
     step = rows_at_once(header.record_length, _STEP)
-    writer = PointWriter(target, header)
+    writer = PointWriter(target, header) if compressed else PlainWriter(target)
     spans = work.ranges or [
         (first, min(ROWS_AT_ONCE, header.point_count - first))
         for first in range(0, header.point_count, ROWS_AT_ONCE)
@@ -189,7 +194,7 @@ def _write_points(
                 stop = min(start + step, last)
                 records = reader.read(start, stop - start)
                 channels |= _channels(header, records)
-                if len(channels) > 1:
+                if compressed and len(channels) > 1:
                     raise ProcessingError(
                         f"{header.path}: wave packets of scanner channels {sorted(channels)} in one LAZ file "
                         "would be damaged by the compressor; split the file by channel"

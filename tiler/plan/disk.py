@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.plan.model import KEEP, Plan
+from tiler.plan.model import Plan
 
 SPOOL_BYTES, COLUMN_BYTES = 12, 12
 """Per point on disk, in the spool, and in its bucket with its label; measured on a city."""
@@ -76,7 +76,9 @@ def projected_disk(plan: Plan) -> dict[str, int]:
         "rasters": int(pixels.filled * sum(sizes) + pixels.empty * EMPTY_PIXEL_BYTES * len(names)),
         "drawn": int(pixels.filled * DRAWN_PIXEL_BYTES * len(plan.config.drawn)),
         "classified": 0
-        if plan.config.method == KEEP
+        if not plan.writes_clouds
+        else sum(s.points * s.record_length for s in plan.sources)
+        if plan.config.classified == "las"
         else int(CLASSIFIED_SHARE * sum(s.size for s in plan.sources)),
         "scratch": int(COPIES * (held * largest + (pixels.largest - held) * EMPTY_PIXEL_BYTES * workers)),
     }

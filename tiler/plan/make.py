@@ -152,7 +152,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
         config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
         workers, cell, points, covered, extent, density_map, None,
-        output_names(found.inputs, found.sources), tuple(notes), tuple(warnings),
+        output_names(found.inputs, found.sources, las=config.classified == "las"), tuple(notes), tuple(warnings),
         known, tile_workers=0 if config.tile_size else workers,
     )  # fmt: skip
     plan = part_of(plan)
@@ -160,7 +160,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     return plan if text is None else replace(plan, warnings=(*plan.warnings, text))
 
 
-def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[Path, Path]:
+def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo], las: bool = False) -> dict[Path, Path]:
     """Path of each classified file below OUT/classified; ConfigError where two would be one."""
     # A URL names what is below it, or one object: then nothing is left of the name below it.
     named = [(cloud_path(i), is_virtual(i) and not Path(i).is_dir()) for i in inputs]
@@ -173,7 +173,7 @@ def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> dict[P
         name = below[0] if below else Path(source.path.name)
         stem = name.name[: -len(name.suffix)]
         stem = stem.removesuffix(".copc") if source.copc else stem
-        name = name.with_name(f"{stem}.laz")
+        name = name.with_name(f"{stem}.{'las' if las else 'laz'}")
         if str(name).lower() in taken:
             raise ConfigError(
                 f"{source.path} and {taken[str(name).lower()]} would both become classified/{name}; "

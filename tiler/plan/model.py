@@ -141,6 +141,11 @@ class Plan:
     tile_workers: int = 0
 
     @property
+    def writes_clouds(self) -> bool:
+        """Whether the run writes classified clouds: not with the classes of the input, nor if none are wanted."""
+        return self.config.method != KEEP and self.config.classified != "none"
+
+    @property
     def filled(self) -> list[SourceInfo]:
         """Sources that hold points."""
         return [s for s in self.sources if s.points and s.bounds is not None]

@@ -37,7 +37,7 @@ from tiler.io.result_folder import (
 )
 from tiler.plan.disk import free_bytes, needed_bytes
 from tiler.plan.machine import memory_bytes
-from tiler.plan.model import KEEP, Plan
+from tiler.plan.model import Plan
 
 MAX_DENOMINATOR = 511
 """Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
@@ -121,7 +121,7 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     if plan.config.water != "none":
         wanted.append(WATER)
     wanted.append(STAC)
-    if plan.config.method != KEEP:
+    if plan.writes_clouds:
         wanted.append(VIRTUAL)
         wanted += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
     places = [joined(products, name) for name in wanted]

@@ -31,7 +31,6 @@ from tiler.io.result_folder import (
     VIRTUAL,
     WATER,
 )
-from tiler.plan import KEEP
 from tiler.schedule import Task, digest_of
 from tiler.stages.file_tasks import Sheet, name_of, nodata_of, sheets
 from tiler.stages.gridding import Gridding
@@ -48,7 +47,9 @@ _OF_VIRTUAL = [_POINTCLOUD, f"{_SCHEMAS}/projection/v1.1.0/schema.json"]
 _OF_RASTERS = [f"{_SCHEMAS}/projection/v2.0.0/schema.json", f"{_SCHEMAS}/raster/v2.0.0/schema.json"]
 _COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 _GPKG = "application/geopackage+sqlite3"
-_VRT, _LAZ, _JSON = "application/xml", "application/vnd.laszip", "application/json"
+_VRT, _JSON = "application/xml", "application/json"
+_CLOUDS = {"laz": ("application/vnd.laszip", "LASzip"), "las": ("application/vnd.las", "LAS")}
+"""Media type and encoding of classified clouds, by what `--classified` says."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def planned(gridding: Gridding) -> dict[str, str]:
     """Key of each task of this stage to the path below OUT of its file."""
     config = gridding.plan.config
     cut = [] if config.sheets is None else [_item_path(gridding, sheet) for sheet in sheets(gridding)]
-    found = [STAC, *cut] if config.method == KEEP else [STAC, VIRTUAL, *cut]
+    found = [STAC, VIRTUAL, *cut] if gridding.plan.writes_clouds else [STAC, *cut]
     return {path.rpartition("/")[2]: path for path in found}
 
 
@@ -111,6 +112,7 @@ class _Catalogue:
         self._globe = stac.Globe(self._plan.meta.frame.crs_wkt)
         self._type = "eopc" if kind == "dim" else "lidar"
         self._sources = sources
+        self._media, self._encoding = _CLOUDS.get(self._plan.config.classified, ("", ""))
         self.clouds = [
             Cloud(f"{CLASSIFIED}/{self._plan.names[s.info.path].as_posix()}", s, written[key][1])
             for s in sources
@@ -120,7 +122,7 @@ class _Catalogue:
     def documents(self) -> dict[str, dict[str, Any]]:
         """Path below OUT to content."""
         found: dict[str, dict[str, Any]] = {}
-        if self._plan.config.method != KEEP:
+        if self._plan.writes_clouds:
             features = [self._virtual(cloud) for cloud in self.clouds if cloud.record["statistics"]["fields"]]
             found[VIRTUAL] = {"type": "FeatureCollection", "features": features}
         if self._plan.config.sheets is None:
@@ -150,12 +152,12 @@ class _Catalogue:
             "geometry": self._globe.polygon(box) or native, "bbox": [west, south, low[2], east, north, high[2]],
             "properties": {
                 **stac.dates([cloud.dates]), "pc:count": cloud.record["points"], "pc:type": self._type,
-                "pc:encoding": "LASzip", "pc:schemas": schema,
+                "pc:encoding": self._encoding, "pc:schemas": schema,
                 "pc:statistics": stac.statistics(fields, cloud.record["points"], names),
                 **({"proj:wkt2": wkt} if wkt else {}), "proj:geometry": native, "proj:bbox": [*low, *high],
             },
             "links": [],
-            "assets": {"data": {"href": f"./{cloud.path}", "type": _LAZ, "roles": ["data"]}},
+            "assets": {"data": {"href": f"./{cloud.path}", "type": self._media, "roles": ["data"]}},
         }  # fmt: skip
 
     def _whole(self) -> dict[str, Any]:
@@ -167,7 +169,8 @@ class _Catalogue:
             item["stac_extensions"] = [*item["stac_extensions"], _POINTCLOUD]
             item["properties"] |= {
                 "pc:count": sum(cloud.record["points"] for cloud in self.clouds), "pc:type": self._type,
-                "pc:encoding": "LASzip", "pc:schemas": stac.schema(c.source.info.point_format for c in self.clouds),
+                "pc:encoding": self._encoding,
+                "pc:schemas": stac.schema(c.source.info.point_format for c in self.clouds),
             }  # fmt: skip
         return item
 
@@ -272,8 +275,8 @@ class _Catalogue:
                 "title": "classified clouds as one",
             }  # fmt: skip
         for cloud in self.clouds:
-            found[cloud.path.removesuffix(".laz")] = {
-                "href": f"./{quote(cloud.path)}", "type": _LAZ, "roles": ["data"],
+            found[cloud.path.removesuffix(f".{self._plan.config.classified}")] = {
+                "href": f"./{quote(cloud.path)}", "type": self._media, "roles": ["data"],
                 "title": "points with their classes", "pc:count": cloud.record["points"],
             }  # fmt: skip
         found["report"] = {"href": f"./{REPORT}", "type": "text/html", "roles": ["metadata"]}

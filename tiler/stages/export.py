@@ -9,8 +9,7 @@ from tiler.core.products import CONTOURS
 from tiler.errors import ProcessingError, refused_write
 from tiler.export import WriteCog
 from tiler.io.locations import is_url, joined, sizes_at
-from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, below
-from tiler.plan import KEEP
+from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
@@ -45,12 +44,12 @@ def export(
     corrections: Corrections,
 ) -> None:
     """Write the files that people open: rasters, vectors, classified clouds."""
-    out, config = job.products, job.plan.config
+    out = job.products
     digest = digest_of(sorted(source.content for source in sources))
     tasks = [*cog_tasks(gridding, Inputs.of(sources, spooled), digest, out), *legend_tasks(gridding, out)]
     tasks += drawn_tasks(gridding, out)
     rasters = list(tasks)
-    if config.method != KEEP:
+    if job.plan.writes_clouds:
         tasks += corrections.of_clouds(classified_tasks(job.plan, sources, spooled, labels, out))
     mosaics = list(mosaic_tasks(gridding, digest, out))
     basis = _basis(gridding)
@@ -78,7 +77,9 @@ def export(
             if isinstance(task.arguments, WriteCog) and task.arguments.product == "dtm"
         ]
         job.facts["dtm"]["filled"] = sum(made[key][1]["valid"] for key in terrain if key in made)
-    job.facts["made_of"] |= {path: basis for key, path in written.items() if key.endswith(PRODUCTS)}
+    # The virtual cloud holds as long as the clouds do, which no basis is noted for.
+    rasters_of = (path for key, path in written.items() if key.endswith(PRODUCTS) and path != VIRTUAL)
+    job.facts["made_of"] |= dict.fromkeys(rasters_of, basis)
     unwritten = [path for path in written.values() if path not in job.facts["outputs"]]
     sizes = sizes_at([joined(out, path) for path in unwritten])  # of an earlier run, where a task failed
     job.facts["earlier_outputs"] = {

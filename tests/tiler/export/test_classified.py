@@ -74,17 +74,18 @@ def assert_equal_but_classes(source: Path, out: Path) -> None:
     assert out.read_bytes()[: two.points_offset].endswith(gap)
 
 
-@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize(("suffix", "to"), [("las", "laz"), ("laz", "laz"), ("laz", "las"), ("las", "las")])
 @pytest.mark.parametrize(("point_format", "version"), ALL_FORMATS)
 def test_all_but_the_classes_is_equal(
-    make_cloud: Any, memory_store: Any, tmp_path: Path, point_format: int, version: str, suffix: str
+    make_cloud: Any, memory_store: Any, tmp_path: Path, point_format: int, version: str, suffix: str, to: str
 ) -> None:
     evlr = b"waves" * 100 if version == "1.4" else None
     path = make_cloud(f"a.{suffix}", point_format=point_format, version=version, extra=True, evlr=evlr)
     labels = {row: 1 + row % 2 for row in range(100, 900)}
     labels[500] = 0
-    out = tmp_path / "out" / "deep" / "a.laz"
+    out = tmp_path / "out" / "deep" / f"a.{to}"
     record = export(path, out, label(memory_store, labels))
+    assert (read_header(out).laz is not None) == (to == "laz")
     assert_equal_but_classes(path, out)
     before, after = np.asarray(laspy.read(path).classification), np.asarray(laspy.read(out).classification)
     expected = before.copy()
@@ -95,7 +96,7 @@ def test_all_but_the_classes_is_equal(
     assert record["changed"] == np.count_nonzero(before != expected)
     assert record["bytes"] == out.stat().st_size
     assert sum(record["classes"].values()) == 1000
-    assert [p.name for p in out.parent.iterdir()] == ["a.laz"]
+    assert [p.name for p in out.parent.iterdir()] == [f"a.{to}"]
 
 
 ODD = [
@@ -119,11 +120,11 @@ def test_odd_files_come_back_whole(shared_data: Path, memory_store: Any, tmp_pat
     path = shared_data / "odd" / name
     if not path.exists():
         pytest.skip(f"no {path}")
-    out = tmp_path / "o.laz"
-    export(path, out, label(memory_store, {0: 2}))
-    assert_equal_but_classes(path, out)
-    if name != "no-points.las":
-        assert laspy.read(out).classification[0] == 2
+    for out in (tmp_path / "o.laz", tmp_path / "o.las"):
+        export(path, out, label(memory_store, {0: 2}))
+        assert_equal_but_classes(path, out)
+        if name != "no-points.las":
+            assert laspy.read(out).classification[0] == 2
 
 
 def test_waveform_packets_of_las_1_3_move_with_their_position(

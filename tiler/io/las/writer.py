@@ -1,4 +1,4 @@
-"""Points of a LAZ file, compressed by lazrs behind a header that somebody else writes."""
+"""Points of a LAZ or LAS file, behind a header that somebody else writes; lazrs compresses."""
 
 from __future__ import annotations
 
@@ -53,3 +53,17 @@ class PointWriter:
             self._compressor.done()
         except lazrs.LazrsError as error:
             raise OSError(str(error)) from error
+
+
+class PlainWriter:
+    """Writes records as they are, from the place where ``target`` stands."""
+
+    def __init__(self, target: BinaryIO) -> None:
+        self._target = target
+
+    def write(self, records: Records) -> None:
+        """Append records; raises OSError where the target does not take them."""
+        self._target.write(np.ascontiguousarray(records).view(np.uint8).data)
+
+    def close(self) -> None:
+        """Nothing is left to write."""
