@@ -20,6 +20,9 @@ from tiler.plan import KEEP
 from tiler.schedule import Guard
 from tiler.store import open_store
 
+ONE_WORKER_POINTS = 1_000_000
+"""Below this a second worker costs more to start than it takes off the first."""
+
 
 def classify_file(
     source: str | Path, target: str | Path, config: RunConfig | None = None, listener: Listener = silent
@@ -73,6 +76,8 @@ def _classify(
             "note", {"text": f"{source}: has no CRS; metres are assumed, --units or --crs say otherwise"}
         )
         config = config.updated(crs="none")
+    if config.workers is None and info.points < ONE_WORKER_POINTS:
+        config = config.updated(workers=1)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
