@@ -56,6 +56,7 @@ def arguments(name: str, folder: Path, out: Path) -> list[str]:
         "preview": ["preview", town, "-o", str(out / "preview.png"), "--method", "classic"],
         "info": ["info", town],
         "methods": ["methods"],
+        "warm": ["warm", "classic"],
         "evaluate": ["evaluate", town, "--method", "classic", "--maps", str(out / "maps")],
         "check": [
             "check",

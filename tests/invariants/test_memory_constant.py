@@ -22,7 +22,7 @@ import json, sys
 from tiler.config import RunConfig
 from tiler.runs.worker import peak_rss_bytes
 from tiler.pipeline import run
-config = RunConfig.from_mapping({"workers": 1, "method": "classic", "resolution": "1"})
+config = RunConfig.from_mapping({"workers": 1, "method": "classic", "resolution": "1", "memory": "512MiB"})
 summary = run([sys.argv[1]], sys.argv[2], config).summary
 print(json.dumps({"command": peak_rss_bytes(), "points": summary["counts"]["stored"], "plan": summary["plan"],
                   **{name: stage["peak_rss_bytes"] for name, stage in summary["stages"].items()}}))

@@ -6,7 +6,6 @@ import functools
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 
 from ptd.kernel import compiled_count
@@ -68,7 +67,7 @@ class Compiler:
 
     def __init__(self, listener: Listener, apart: bool) -> None:
         self._listener, self._apart = listener, apart
-        self._begun: dict[str, tuple[threading.Thread, Guard]] = {}
+        self._begun: dict[str, tuple[threading.Event, Guard]] = {}
 
     def begin(self, plan: Plan, until: str) -> None:
         """Begin with all that a run will probably need, each in a process of its own."""
@@ -92,13 +91,14 @@ class Compiler:
             return
         if kernels.name not in self._begun:
             self._start(kernels)
-        thread, _ = self._begun[kernels.name]
+        ended, _ = self._begun[kernels.name]
         started, told = time.monotonic(), 0
         before = compiled_count()
         facts = {"title": "compile, once on this machine", "tasks": kernels.count, "points": 0, "done": 0}
         self._listener("stage_started", {"stage": STAGE, **facts})
-        while thread.is_alive():
-            thread.join(LOOK_SECONDS)
+        finished = False
+        while not finished:
+            finished = ended.wait(LOOK_SECONDS)
             new = compiled_count() - before
             for _ in range(told, new):
                 done = {"key": "kernel", "points": 0, "seconds": 0.0, "peak_rss_bytes": 0}
@@ -111,22 +111,25 @@ class Compiler:
 
     def close(self) -> None:
         """End the processes, whatever they do."""
-        for thread, guard in self._begun.values():
+        for ended, guard in self._begun.values():
             guard.kill()
-            thread.join()
-            guard.close()
+            ended.wait()
 
     def _start(self, kernels: Kernels) -> None:
-        guard = Guard(None)
+        # An event, as a thread that somebody waits for counts as ended once Ctrl-C ends the waiting (Python 3.11).
+        guard, ended = Guard(None), threading.Event()
 
         def work() -> None:
-            with suppress(Died):  # what is not compiled then is told
+            try:
                 guard.call(kernels.compile, silent, seconds=SECONDS)
+            except Died:
+                pass  # what is not compiled then is told
+            finally:
                 guard.close()
+                ended.set()
 
-        thread = threading.Thread(target=work, name=f"compile {kernels.name}", daemon=True)
-        self._begun[kernels.name] = (thread, guard)
-        thread.start()
+        self._begun[kernels.name] = (ended, guard)
+        threading.Thread(target=work, name=f"compile {kernels.name}", daemon=True).start()
 
 
 def silent() -> None:
