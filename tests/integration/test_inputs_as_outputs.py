@@ -92,7 +92,7 @@ def test_preview_and_classify(cloud: Path, tmp_path: Path, capsys: pytest.Captur
     picture = tmp_path / "in" / "link.png"
     picture.symlink_to(cloud)
     assert "is an input" in refused(capsys, "preview", cloud, "-o", picture)
-    assert "name it .laz" in refused(capsys, "classify", cloud, tmp_path / "b.las")
+    assert "name it .laz" in refused(capsys, "classify", cloud, tmp_path / "b.tif")
     (tmp_path / "b.laz").symlink_to(cloud)
     assert "is an input" in refused(capsys, "classify", cloud, tmp_path / "b.laz")
     assert content(tmp_path).items() >= before.items()

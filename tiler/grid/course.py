@@ -83,8 +83,8 @@ def course_of(shape: Any) -> Floats | None:
 def _graph(wet: npt.NDArray[np.bool_], middle: Floats) -> tuple[Any, Any, Any]:
     """Rows and columns of the cells, and their ways to neighbours: by length, and much longer near the shore."""
     cells = np.nonzero(wet)
-    number = np.full(wet.shape, -1, np.int64)
-    number[cells] = np.arange(len(cells[0]))
+    number = np.full(wet.shape, -1, np.int32)  # what scipy before 1.15 takes graphs of
+    number[cells] = np.arange(len(cells[0]), dtype=np.int32)
     one, other, lengths = [], [], []
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
         near = number[down:, max(right, 0) : wet.shape[1] + min(right, 0)]
