@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -16,13 +18,18 @@ from ptd.params import to_json
 from ptd.passes import KINDS, Int32, Model, Pass, Points, RunFacts, UInt8, later_passes, read_at_candidates
 
 COUNTS_PER_METRE = 1000
+LONGEST_SHOWN = 12
+"""Values of a list that a notebook shows."""
 LARGEST_EXTENT_M = 60_000.0
 """In-circle tests are exact for differences below 2**26 counts."""
 
 
+CLASS_NAMES = {1: "unclassified", 2: "ground", 7: "low noise"}
+
+
 @dataclass(frozen=True)
 class Result:
-    """What a filter says of a cloud.
+    """What a filter says of a cloud; a notebook shows it as tables.
 
     Attributes
     ----------
@@ -36,7 +43,47 @@ class Result:
 
     classification: npt.NDArray[np.uint8]
     decisions: dict[str, Any]
-    stats: dict[str, Any]
+    stats: dict[str, Any] = field(repr=False)
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Class -> points of it."""
+        codes, counts = np.unique(self.classification, return_counts=True)
+        return dict(zip(codes.tolist(), counts.tolist(), strict=True))
+
+    def _repr_html_(self) -> str:
+        classes = [
+            (f"{code} {CLASS_NAMES.get(code, '')}", f"{points:,}") for code, points in self.counts.items()
+        ]
+        title = f"ptd.classify: {self.classification.size:,} points by the method {self.decisions['method']}"
+        parameters, decided = (_flat(self.decisions[name]) for name in ("parameters", "statistics"))
+        return (
+            f"<div><b>{escape(title)}</b>{_table(('class', 'points'), classes)}"
+            f"{_table(('decided', 'value'), decided)}"
+            f"<details><summary>parameters</summary>{_table(('parameter', 'value'), parameters)}</details></div>"
+        )
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Nested values as names and texts; long lists by their length."""
+    found = []
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found += _flat(value, f"{prefix}{name} / ")
+        elif isinstance(value, list | tuple) and len(value) > LONGEST_SHOWN:
+            found.append((f"{prefix}{name}", f"{len(value):,} values"))
+        elif value is not None:
+            items = value if isinstance(value, list | tuple) else [value]
+            text = "; ".join(f"{item:.6g}" if isinstance(item, float) else str(item) for item in items)
+            found.append((f"{prefix}{name}", text))
+    return found
+
+
+def _table(headings: tuple[str, str], rows: list[tuple[str, str]]) -> str:
+    """A table of texts in HTML."""
+    head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
+    body = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>" if rows else ""
 
 
 def classify(
@@ -76,6 +123,19 @@ def classify(
         Not an [n, 3] array, values that are not finite, an extent above 60 km, an unknown method,
         parameters of another, a kind that there is not, columns of another length, a column that the method
         cannot do without, or a cloud that it cannot work on (`ptd.passes.MethodRefusal`).
+
+    Examples
+    --------
+    A plane of 1 point/m2 that rises to the east, with a box on it:
+
+    >>> import numpy as np, ptd
+    >>> x, y = (v.ravel() for v in np.mgrid[0:30.0, 0:30.0])
+    >>> box = (abs(x - 15) < 3) & (abs(y - 15) < 3)
+    >>> result = ptd.classify(np.stack([x, y, 0.05 * x + 6 * box], axis=1), method="classic")
+    >>> result.counts, int(box.sum())
+    ({1: 25, 2: 875}, 25)
+    >>> result.decisions["parameters"]["iteration_angle_deg"]
+    25.0
     """
     points = np.asarray(xyz, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:

@@ -1,4 +1,4 @@
-"""City- to country-scale terrain from point clouds: a tile store, a scheduler, and the stages between."""
+"""City- to country-scale terrain from point clouds: `run`, `classify`, `check`, `open_store` (docs/python.md)."""
 
 from __future__ import annotations
 
@@ -7,20 +7,47 @@ from typing import TYPE_CHECKING, Any
 from tiler.version import __version__
 
 if TYPE_CHECKING:
-    from tiler.pipeline import run as run
-    from tiler.store import open_store as open_store
+    from tiler.api import CheckResult as CheckResult
+    from tiler.api import ClassifyResult as ClassifyResult
+    from tiler.api import ConfigError as ConfigError
+    from tiler.api import InputError as InputError
+    from tiler.api import ProcessingError as ProcessingError
+    from tiler.api import Progress as Progress
+    from tiler.api import RunConfig as RunConfig
+    from tiler.api import RunResult as RunResult
+    from tiler.api import TilerError as TilerError
+    from tiler.api import check as check
+    from tiler.api import classify as classify
+    from tiler.api import open_store as open_store
+    from tiler.api import run as run
 
-__all__ = ["__version__", "open_store", "run"]
+__all__ = [
+    "CheckResult",
+    "ClassifyResult",
+    "ConfigError",
+    "InputError",
+    "ProcessingError",
+    "Progress",
+    "RunConfig",
+    "RunResult",
+    "TilerError",
+    "__version__",
+    "check",
+    "classify",
+    "open_store",
+    "run",
+]
 
 
 def __getattr__(name: str) -> Any:
-    """Load the two entry points when they are first used: importing the package stays cheap."""
-    if name == "run":
-        from tiler.pipeline import run
+    """Load what the package offers when it is first used: importing the package stays cheap."""
+    if name in __all__:
+        from tiler import api
 
-        return run
-    if name == "open_store":
-        from tiler.store import open_store
-
-        return open_store
+        return getattr(api, name)
     raise AttributeError(f"module 'tiler' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """What the package offers, loaded or not."""
+    return sorted({*globals(), *__all__})

@@ -17,6 +17,7 @@ from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_digests, 
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, discreet, silent
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_seconds
+from tiler.redaction import without_secrets
 from tiler.report.html import write_report
 from tiler.runs.job import Job, Ownership, RunResult
 from tiler.stages.corrections import correct
@@ -157,9 +158,8 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     remember(plan, job.record.stages)
     summary = _report(job)
     listener("run_finished", {"seconds": job.facts["seconds"]})
-    return RunResult(
-        5 if job.record.quarantined or job.record.failed else 0, summary, job.record.computed == 0
-    )
+    exit_code = 5 if job.record.quarantined or job.record.failed else 0
+    return RunResult(exit_code, summary, job.record.computed == 0, without_secrets(job.products))
 
 
 def _report(job: Job) -> dict[str, Any]:

@@ -8,12 +8,9 @@ from typing import Any
 
 import click
 
-from cli import exit_codes
 from cli.options import json_option
 from cli.output import print_json, print_table, say
 from cli.session import TilerCommand
-from tiler.core.units import parse_length, unit_named
-from tiler.errors import ConfigError
 
 FIGURES = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs", "max_abs", "outliers")
 HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "largest", "outliers")
@@ -81,38 +78,24 @@ def command(
     is the RMSE of non-vegetated checkpoints (NVA), with their own error; a statement needs 30 of them at least; that of
     vegetated ones (VVA) is told and never judged.
     """
-    from tiler.apps import check
-    from tiler.schedule import half_of_memory, read_apart
+    from tiler.api import check
 
-    requirements = check.parse_requirements(require)
-    if figures is not None:
-        check.refuse_figures(figures, dtm, points, strips)
-    if figures is not None and points is None:
-        raise click.UsageError("--figures draws checkpoints; name them with --points")
-    unit = None if points_unit is None else unit_named(points_unit)
-    options = check.PointOptions(points_crs, unit, float(parse_length(points_rmse)))
-    size = None if tile_size is None else parse_length(tile_size)
-    read = [path for path in (dtm, points) if path is not None]
-    report: dict[str, Any] = {"dtm": str(dtm)}
-    report |= read_apart(check.measure, dtm, points, options, size, paths=read, memory_bytes=half_of_memory())
-    if strips:
-        report["strips"] = check.strip_differences(strips)
-    if len(report) == 1:
-        raise ConfigError(
-            f"{dtm}: nothing to check; name --points, --tile-size (there is no run.json beside it) or --strips"
-        )
-    report["requirements"] = check.judge(requirements, report)
-    report["figures"] = []
-    if figures is not None:
-        report["figures"] = read_apart(
-            check.write_figures, figures, dtm, report["accuracy"], paths=(dtm,), memory_bytes=half_of_memory()
-        )
+    result = check(
+        dtm,
+        points,
+        points_crs=points_crs,
+        points_unit=points_unit,
+        points_rmse=points_rmse,
+        tile_size=tile_size,
+        strips=strips,
+        require=require,
+        figures=figures,
+    )
     if as_json:
-        print_json(report)
+        print_json(result.summary)
     else:
-        _print_report(report)
-    met = all(requirement["met"] for requirement in report["requirements"])
-    return exit_codes.DONE if met else exit_codes.PARTIAL
+        _print_report(result.summary)
+    return result.exit_code
 
 
 def _print_report(report: Mapping[str, Any]) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import socket
 import subprocess
 import sys
+from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -15,15 +17,22 @@ from tests.integration.command import environment
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-BLOCK = re.compile(r"^```sh(?: exit=(\d+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```(sh|python)(?: exit=(\d+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 LARGEST_PICTURE = 200_000
 PORT = "8786"
 
 
 def blocks(page: Path) -> list[tuple[int, str]]:
-    """Exit code and text of each block of commands."""
-    return [(int(code or 0), text) for code, text in BLOCK.findall(page.read_text("utf-8"))]
+    """Exit code and commands of each block; blocks of Python that follow one another are one script."""
+    found: list[tuple[int, str]] = []
+    for language, made in groupby(BLOCK.findall(page.read_text("utf-8")), key=lambda block: block[0]):
+        if language == "python":
+            script = "".join(text for _, _, text in made)
+            found.append((0, f"{shlex.quote(sys.executable)} - <<'END OF PAGE'\n{script}END OF PAGE\n"))
+        else:
+            found += [(int(code or 0), text) for _, code, text in made]
+    return found
 
 
 def test_parameters_are_those_of_the_source() -> None:

@@ -48,6 +48,10 @@ class CoordFrame:
         """Absolute counts as coordinates in units of the CRS, float64."""
         return np.asarray(absolute, dtype=np.float64) / COUNTS_PER_UNIT
 
+    def coordinates(self, xyz: npt.NDArray[np.int32]) -> npt.NDArray[np.float64]:
+        """Local counts int32 (3, n) as coordinates in units of the CRS, float64 (n, 3)."""
+        return self.coordinate(xyz.T + np.array([*self.origin, 0], dtype=np.int64))
+
     def to_json(self) -> dict[str, Any]:
         """A JSON-able description; `from_json` reads it back."""
         return {

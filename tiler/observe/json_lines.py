@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from typing import IO, Any
+from typing import IO, Any, TypedDict, cast
 
 from tiler.observe.whole_job import WholeJob
 from tiler.redaction import stored
@@ -16,10 +16,24 @@ TOLD_BY_FILE = "spool"
 """The stage whose failed tasks are told once for each file, as a warning that names it."""
 
 
-def json_line(
+class Progress(TypedDict):
+    """How far a job is: a line of ``--progress json``, with the same entries (docs/progress.md)."""
+
+    stage: str | None
+    title: str | None
+    done: int | None
+    total: int | None
+    rate: float | None
+    progress: float | None
+    eta: float | None
+    message: str | None
+    level: str
+
+
+def progress_record(
     message: str | None = None, level: str = "info", job: WholeJob | None = None, now: float = 0.0
-) -> str:
-    """One line of ``--progress json``, without its end.
+) -> Progress:
+    """How far a job is.
 
     Parameters
     ----------
@@ -31,26 +45,73 @@ def json_line(
     now : float
         By the clock of the job.
     """
-    line: dict[str, Any] = dict.fromkeys(("stage", "title", "done", "total", "rate", "progress", "eta"))
+    record: dict[str, Any] = dict.fromkeys(("stage", "title", "done", "total", "rate", "progress", "eta"))
     if job is not None:
-        line["eta"] = _rounded(job.seconds_left())
-        line["progress"] = _rounded(job.fraction(), 4) if job.known else None
+        record["eta"] = _rounded(job.seconds_left())
+        record["progress"] = _rounded(job.fraction(), 4) if job.known else None
     if job is not None and job.stage is not None:
         stage = job.stage
-        line |= {"stage": stage.key, "title": stage.title, "rate": _rounded(stage.rate(now - stage.started))}
+        rate = _rounded(stage.rate(now - stage.started))
+        record |= {"stage": stage.key, "title": stage.title, "rate": rate}
         if stage.points:
-            line |= {"done": stage.points_done, "total": stage.points}
+            record |= {"done": stage.points_done, "total": stage.points}
         else:
-            line |= {"done": stage.tasks_done, "total": stage.tasks}
-    return json.dumps(stored({**line, "message": message, "level": level}))
+            record |= {"done": stage.tasks_done, "total": stage.tasks}
+    return cast(Progress, stored({**record, "message": message, "level": level}))
+
+
+def json_line(message: str | None = None, level: str = "info") -> str:
+    """A line of ``--progress json`` that tells a message alone, without its end."""
+    return json.dumps(progress_record(message, level))
 
 
 def _rounded(value: float | None, digits: int = 1) -> float | None:
     return None if value is None else round(value, digits)
 
 
-class JsonLines:
-    """A listener that writes `json_line` for each message, beginning and end of a stage, and now and then between.
+class ProgressRecords:
+    """A listener that tells of each message, beginning and end of a stage, and now and then between.
+
+    Parameters
+    ----------
+    tell : callable
+        Given each `Progress`.
+    clock : callable
+    """
+
+    def __init__(
+        self, tell: Callable[[Progress], object], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._tell, self._clock, self._last = tell, clock, 0.0
+        self._job = WholeJob(clock)
+
+    def __call__(self, event: str, fields: dict[str, Any]) -> None:
+        """Take in an event, and tell of it if it says something new."""
+        at_work = self._job.stage
+        self._job(event, fields)
+        if event in ("note", "warning"):
+            self._record(str(fields["text"]), "info" if event == "note" else "warning")
+        elif event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
+            name = fields.get("title", fields["stage"])
+            self._record(f"{name} {fields['key']} failed: {fields['error']}", "warning")
+        elif event == "stage_started":
+            self._record()
+        elif event == "stage_finished" and at_work is not None:
+            ended, self._job.stage = self._job.stage, at_work  # a last record of that stage
+            self._record()
+            self._job.stage = ended
+        elif event == "task_done" and self._clock() - self._last >= LEAST_SECONDS:
+            self._record()
+        elif event == "run_finished":
+            self._record("done")
+
+    def _record(self, message: str | None = None, level: str = "info") -> None:
+        self._last = self._clock()
+        self._tell(progress_record(message, level, self._job, self._last))
+
+
+class JsonLines(ProgressRecords):
+    """A listener that writes what `ProgressRecords` tells as lines of JSON.
 
     Parameters
     ----------
@@ -59,29 +120,4 @@ class JsonLines:
     """
 
     def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic) -> None:
-        self._stream, self._clock, self._last = stream, clock, 0.0
-        self._job = WholeJob(clock)
-
-    def __call__(self, event: str, fields: dict[str, Any]) -> None:
-        """Take in an event, and write a line if it says something new."""
-        at_work = self._job.stage
-        self._job(event, fields)
-        if event in ("note", "warning"):
-            self._write(str(fields["text"]), "info" if event == "note" else "warning")
-        elif event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
-            name = fields.get("title", fields["stage"])
-            self._write(f"{name} {fields['key']} failed: {fields['error']}", "warning")
-        elif event == "stage_started":
-            self._write()
-        elif event == "stage_finished" and at_work is not None:
-            ended, self._job.stage = self._job.stage, at_work  # a last line of that stage
-            self._write()
-            self._job.stage = ended
-        elif event == "task_done" and self._clock() - self._last >= LEAST_SECONDS:
-            self._write()
-        elif event == "run_finished":
-            self._write("done")
-
-    def _write(self, message: str | None = None, level: str = "info") -> None:
-        self._last = self._clock()
-        print(json_line(message, level, self._job, self._last), file=self._stream, flush=True)
+        super().__init__(lambda record: print(json.dumps(record), file=stream, flush=True), clock)

@@ -135,6 +135,26 @@ def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
         longer = min(int(longer * math.sqrt(MOST_BYTES / taken)), longer - 1)
 
 
+def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:
+    """A hillshade of a DTM, ``longer`` pixels wide or high at most.
+
+    Parameters
+    ----------
+    dtm : str
+        Path or URL of the raster.
+    run : mapping
+        The content of run.json: its units make the slopes.
+
+    Raises
+    ------
+    rasterio.errors.RasterioError
+        The file cannot be read.
+    """
+    with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
+        heights = _read(dtm, longer, Resampling.average)
+        return _picture("hillshade", _hillshade(heights, _extent(dtm), run))
+
+
 def _draw(rasters: Mapping[str, str], run: Mapping[str, Any], longer: int) -> Pictures:
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
         extent = _extent(rasters["dtm"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from tiler.core.products import HOLE, MASK_VALUES, OUTSIDE
 from tiler.observe.progress import count_text, duration_text, size_text
@@ -27,19 +27,22 @@ STATES = {
 
 def header(run: Run, title: str) -> Node:
     """The title, the state, what came out in a sentence, and the figures that most people look for."""
-    left_out = _left_out(run)
-    state = STATES.get(run["state"], run["state"])
-    if run["state"] == "done" and left_out:
-        state = "Finished, with something left out"
-    good = run["state"] == "done" and not left_out
-    cards = [el("div", el("b", value), el("span", name), class_="card") for name, value in _figures(run)]
+    good = run["state"] == "done" and not _left_out(run)
+    cards = [el("div", el("b", value), el("span", name), class_="card") for name, value in figures(run)]
     return el(
         "header",
-        el("p", state, class_="state good" if good else "state bad", id="state"),
+        el("p", state_text(run), class_="state good" if good else "state bad", id="state"),
         el("h1", title),
-        el("p", _sentence(run, left_out), class_="lead"),
+        el("p", sentence(run), class_="lead"),
         el("div", *cards, class_="cards"),
     )
+
+
+def state_text(run: Run) -> str:
+    """How the run stands, in a few words."""
+    if run["state"] == "done" and _left_out(run):
+        return "Finished, with something left out"
+    return STATES.get(run["state"], str(run["state"]))
 
 
 def _left_out(run: Run) -> str:
@@ -49,8 +52,9 @@ def _left_out(run: Run) -> str:
     return " and ".join(parts)
 
 
-def _sentence(run: Run, left_out: str) -> str:
-    plan, dtm = run["plan"], run.get("dtm")
+def sentence(run: Run) -> str:
+    """What came out, in a sentence or two."""
+    plan, dtm, left_out = run["plan"], run.get("dtm"), _left_out(run)
     what = (
         f"A terrain model of {dtm['resolution_m']:g} m pixels"
         if dtm
@@ -69,7 +73,8 @@ def counted(number: int, name: str) -> str:
     return f"{number:,} {name}" if number == 1 else f"{number:,} {name}s"
 
 
-def _figures(run: Run) -> Iterator[tuple[str, str]]:
+def figures(run: Run) -> Iterator[tuple[str, str]]:
+    """Name and value of the figures that most people look for."""
     plan = run["plan"]
     if "counts" in run:
         yield "points read", count_text(run["counts"]["read"])
@@ -100,7 +105,7 @@ def done_before(run: Run) -> int:
 def problems(run: Run) -> Node:
     """What is missing or doubtful, and what to do; the first thing to read after the figures."""
     content: list[Content] = []
-    for text in (*run["plan"].get("warnings", ()), *run.get("advice", ())):
+    for text in warned(run):
         content.append(el("p", text, class_="warning"))
     marked = run.get("filter", {}).get("marked", 0)
     if marked:
@@ -144,37 +149,50 @@ def _halo_m(run: Run) -> float:
     return float(plan.get("halo_by_kind_m", {}).get(survey.get("kind"), plan["halo_m"]))
 
 
-def decisions(run: Run) -> Node:
-    """What was settled without being asked for, and why."""
+class Settled(NamedTuple):
+    """A setting that can be left to tiler: its value, who set it (``you`` or ``automatic``), and why."""
+
+    setting: str
+    value: str
+    by: str
+    why: str
+
+
+def settled(run: Run) -> list[Settled]:
+    """What the settings became that can be left to tiler."""
     plan, config = run["plan"], run["configuration"]
     memory, declared = plan["memory_bytes"], "what the files declare"
     units = " and ".join(dict.fromkeys(plan.get("units", {}).values()))
-    settled = {
-        "resolution": (
-            config["resolution"],
-            f"{plan['resolution_m']:g} m",
-            "1 m, or the points' spacing if wider",
-        ),
-        "tile_size": (config["tile_size"], f"{plan['tile_m']:g} m", "what fits into a worker's memory"),
-        "halo": (config["halo"], f"{_halo_m(run):g} m", "the method's own reach"),
-        "workers": (config["workers"], str(plan["workers"]), "the cores of the machine"),
-        "memory": (config["memory"], size_text(memory), "a fair share of the machine, 4 GiB at most"),
-        "units": (config["units"], units, declared),
-        "crs": (config["crs"], _crs_name(plan["crs"]), declared),
+    found = {
+        "resolution": (f"{plan['resolution_m']:g} m", "1 m, or the points' spacing if wider"),
+        "tile_size": (f"{plan['tile_m']:g} m", "what fits into a worker's memory"),
+        "halo": (f"{_halo_m(run):g} m", "the method's own reach"),
+        "workers": (str(plan["workers"]), "the cores of the machine"),
+        "memory": (size_text(memory), "a fair share of the machine, 4 GiB at most"),
+        "units": (units, declared),
+        "crs": (_crs_name(plan["crs"]), declared),
     }
-    rows = [
-        (
-            name.replace("_", " "),
-            value,
-            "you" if given is not None else "automatic",
-            "" if given is not None else why,
-        )
-        for name, (given, value, why) in settled.items()
+    return [
+        Settled(name.replace("_", " "), value, *(("automatic", why) if config[name] is None else ("you", "")))
+        for name, (value, why) in found.items()
     ]
-    notes = dict.fromkeys([*plan.get("notes", ()), *run.get("notes", ())])
-    told = [el("li", text) for text in list(notes)[:MOST_ROWS]]
+
+
+def noted(run: Run) -> list[str]:
+    """What was told on the way, each text once."""
+    return list(dict.fromkeys([*run["plan"].get("notes", ()), *run.get("notes", ())]))
+
+
+def warned(run: Run) -> list[str]:
+    """What looks wrong in the settings or the data."""
+    return [*run["plan"].get("warnings", ()), *run.get("advice", ())]
+
+
+def decisions(run: Run) -> Node:
+    """What was settled without being asked for, and why."""
+    told = [el("li", text) for text in noted(run)[:MOST_ROWS]]
     found = list(_measured(run.get("statistics", {})))
-    content: list[Content] = [table(("setting", "value", "by", "why"), rows)]
+    content: list[Content] = [table(("setting", "value", "by", "why"), settled(run))]
     if told:
         content += [el("h3", "Noted on the way"), el("ul", *told)]
     if found:

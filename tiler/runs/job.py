@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from tiler.io.locations import is_url, joined, put_file
-from tiler.io.result_folder import RUN
+from tiler.io.result_folder import RUN, folder_here
 from tiler.observe.events import Listener
 from tiler.plan import Plan
 from tiler.report import write_run_file
+from tiler.report.notebook import run_markup
+from tiler.report.sections import Settled, noted, settled, warned
 from tiler.runs.compiling import Compiler
 from tiler.runs.executors import Crew
 from tiler.runs.record import Facts, RunRecord
@@ -20,9 +22,9 @@ from tiler.schedule import Task
 from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 
 
-@dataclass
+@dataclass(frozen=True)
 class RunResult:
-    """How a run ended.
+    """How a run ended; a notebook shows it with a picture of the DTM.
 
     Attributes
     ----------
@@ -32,11 +34,39 @@ class RunResult:
         What ``run.json`` says.
     did_nothing : bool
         Everything had been done before.
+    out : str
+        Path or URL of the results.
     """
 
     exit_code: int
-    summary: dict[str, Any]
+    summary: dict[str, Any] = field(repr=False)
     did_nothing: bool
+    out: str
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Path or URL of each file that the run wrote, or found as it would write it, by its name in OUT."""
+        name = self.summary.get("report")
+        report = {name: str(folder_here(self.out) / name)} if name else {}
+        return report | {name: joined(self.out, name) for name in self.summary.get("outputs", {})}
+
+    @property
+    def decisions(self) -> list[Settled]:
+        """What the settings became that can be left to tiler: setting, value, by whom, and why."""
+        return settled(self.summary)
+
+    @property
+    def notes(self) -> list[str]:
+        """What was decided or found on the way, a line each."""
+        return noted(self.summary)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What looks wrong in the settings or the data, a line each."""
+        return warned(self.summary)
+
+    def _repr_html_(self) -> str:
+        return run_markup(self.summary, self.out, self.files)
 
 
 class Ownership:

@@ -1,0 +1,210 @@
+"""The Python interface: its examples, its results in notebooks, and calls from where no file is the main program."""
+
+from __future__ import annotations
+
+import asyncio
+import doctest
+import logging
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from pyproj import CRS
+
+import ptd.api
+import tiler.api
+from tests.integration.command import environment
+
+SIDE = 43
+PLAIN = {"method": "classic", "resolution": 2, "workers": 1, "water": "none"}
+EXAMPLES = [
+    test for module in (tiler.api, ptd.api) for test in doctest.DocTestFinder().find(module) if test.examples
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as the examples find it: a tilted plane, 1 point/m2, with a tree; and checkpoints on it."""
+    made = tmp_path_factory.mktemp("examples")
+    (made / "clouds").mkdir()
+    x, y = (v.ravel() for v in np.mgrid[0:SIDE, 0:SIDE].astype(float))
+    cloud = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    cloud.header.add_crs(CRS.from_epsg(25832))
+    cloud.header.offsets = np.array([500_000.0, 5_400_000.0, 0.0])
+    cloud.header.scales = np.full(3, 0.001)
+    cloud.x, cloud.y = 500_000 + x, 5_400_000 + y
+    cloud.z = 0.1 * x + 8.0 * (np.hypot(x - 20, y - 20) < 2)
+    cloud.write(str(made / "clouds/a.las"))
+    rows = [f"{500_000 + x},{5_400_000 + 7.5},{0.1 * x},NVA" for x in (5.5, 8.5, 30.5)]
+    (made / "checkpoints.csv").write_text("\n".join(["x,y,z,type", *rows]))
+    return made
+
+
+@pytest.fixture(autouse=True)
+def here(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No processes beside this one: they take seconds to start."""
+    read = tiler.api._settings
+    monkeypatch.setattr("tiler.api._settings", lambda config: read(config).updated(in_process=True))
+    monkeypatch.setattr("tiler.api.read_apart", lambda function, *arguments, **limits: function(*arguments))
+
+
+def test_everything_offered_has_an_example() -> None:
+    assert {test.name for test in EXAMPLES} == {
+        *(f"tiler.api.{name}" for name in ("run", "classify", "check", "open_store")),
+        "ptd.api.classify",
+    }
+
+
+@pytest.mark.parametrize("order", [["run", "check", "open_store"], ["api.classify"]], ids=",".join)
+def test_examples(order: list[str], in_process: None) -> None:
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+    for name in order:
+        for test in EXAMPLES:
+            if test.name.endswith(f".{name}"):
+                runner.run(test)
+    assert runner.summarize(verbose=False).failed == 0
+
+
+def test_the_package_offers_what_its_api_has() -> None:
+    assert set(tiler.api.__all__) == set(tiler.__all__) - {"__version__"}
+    assert set(tiler.__all__) <= set(dir(tiler))
+    for name in tiler.__all__:
+        assert getattr(tiler, name) is not None
+
+
+def imported(code: str) -> set[str]:
+    made = subprocess.run(
+        [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"],
+        capture_output=True, text=True, check=True, env=environment(),
+    )  # fmt: skip
+    return set(made.stdout.split())
+
+
+def test_importing_the_packages_is_cheap() -> None:
+    loaded = imported("import tiler, ptd")
+    assert not loaded & {"numpy", "numba", "dask", "zarr", "rasterio", "tiler.api", "ptd.api"}
+
+
+class Markup(HTMLParser):
+    """Tags of a piece of HTML, and where its links lead."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.links: list[str | None] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.links += [value for name, value in attrs if name == "href"]
+
+
+def test_a_run_tells_and_shows(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, in_process: None
+) -> None:
+    told: list[tiler.Progress] = []
+    Path("<i>&").mkdir()
+    shutil.copy("clouds/a.las", "<i>&/<script>.las")
+    with caplog.at_level(logging.INFO, "tiler"):
+        result = tiler.run(Path("<i>&"), "<b>out", PLAIN, progress=told.append)
+    assert capfd.readouterr().out == ""
+    assert told[-1]["message"] == "done"
+    messages = [record.getMessage() for record in caplog.records if record.name == "tiler"]
+    assert messages == [t["message"] for t in told if t["message"]] == [*result.notes, "done"]
+    by = {decision.setting: decision.by for decision in result.decisions}
+    assert (by["resolution"], by["halo"]) == ("you", "automatic")
+    assert "summary" not in repr(result)
+    assert all(Path(path).exists() for path in result.files.values())
+    shown = Markup(result._repr_html_())
+    assert shown.tags == {
+        "div",
+        "b",
+        "p",
+        "img",
+        "table",
+        "thead",
+        "tbody",
+        "tr",
+        "th",
+        "td",
+        "ul",
+        "li",
+        "a",
+    }
+    assert shown.links
+    assert all(link is not None and Path(link).exists() for link in shown.links)
+    assert "<b>out" not in result._repr_html_()
+
+
+def test_a_classified_cloud_and_a_check_show(in_process: None) -> None:
+    classified = tiler.classify("clouds/a.las", "shown.laz", PLAIN)
+    assert f'<td class="number">{classified.classes[2]:,}</td>' in classified._repr_html_()
+    assert Markup(classified._repr_html_()).links == ["shown.laz"]
+    tiler.run("clouds", "checked", PLAIN)
+    checked = tiler.check(
+        "checked/dtm.tif", "checkpoints.csv", require=["rmse=0.1", "points=4"], tile_size=20
+    )
+    assert (checked.met, checked.exit_code) == (False, 5)
+    assert checked._repr_html_().count("<td>NO</td>") == 1
+
+
+def test_a_filter_shows_what_it_decided() -> None:
+    x, y = (v.ravel() for v in np.mgrid[0:20, 0:20].astype(float))
+    result = ptd.classify(np.stack([x, y, 0.1 * x], axis=1), "classic")
+    shown = Markup(result._repr_html_())
+    assert "table" in shown.tags
+    assert "ground" in result._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (lambda: tiler.run("none.laz", "o"), "none.laz: no such file"),
+        (lambda: tiler.run("clouds", "o", {"resolution": "far"}), "resolution: 'far' is no length"),
+        (lambda: tiler.run("clouds", "o", {"resolutoin": 1}), "unknown setting 'resolutoin'"),
+        (lambda: tiler.classify("none.laz", "b.laz"), "none.laz: no such file"),
+        (lambda: tiler.check("none.tif", "checkpoints.csv"), "none.tif: cannot be read"),
+        (lambda: tiler.open_store("none"), "none: no tile store here"),
+    ],
+)
+def test_what_is_refused_is_one_line(call: Callable[[], object], line: str, in_process: None) -> None:
+    with pytest.raises(tiler.TilerError) as refused:
+        call()
+    assert str(refused.value).startswith(line)
+    assert "\n" not in str(refused.value)
+    assert refused.value.exit_code in (2, 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["script.py", "-c", "-"])
+def test_the_main_program_needs_no_guard(how: str, folder: Path) -> None:
+    """Workers do not import it again, and there may be no file of it."""
+    code = f"import tiler\nprint(tiler.run('clouds/', 'out{how}', {PLAIN}).exit_code)\n"
+    (folder / "script.py").write_text(code)
+    made = subprocess.run(
+        [sys.executable, how, *([code] if how == "-c" else [])],
+        input=code, capture_output=True, text=True, check=False, env=environment(),
+    )  # fmt: skip
+    assert (made.returncode, made.stdout, made.stderr) == (0, "0\n", "")
+
+
+@pytest.mark.slow
+def test_a_run_within_an_event_loop() -> None:
+    """As in a notebook, whose cells run in one."""
+
+    async def cell() -> int:
+        return tiler.run("clouds/", "loop", PLAIN).exit_code
+
+    assert asyncio.run(cell()) == 0

@@ -1,0 +1,157 @@
+"""Results as notebooks show them: a few lines of HTML, whose every text and attribute is escaped."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from rasterio.errors import RasterioError
+
+from tiler.io.locations import is_url, joined, state_at
+from tiler.report.document import Content, el, facts, table
+from tiler.report.pictures import small_hillshade
+from tiler.report.sections import counted, figures, noted, sentence, settled, state_text, value_text, warned
+
+PICTURE_PIXELS = 480
+"""Of the longer side of a picture."""
+MOST_LINKS = 12
+MOST_NOTES = 20
+
+
+def markup(title: str, *children: Content) -> str:
+    """A titled block of HTML that loads nothing and runs nothing."""
+    return ElementTree.tostring(el("div", el("b", title), *children), encoding="unicode", method="html")
+
+
+def run_markup(run: Mapping[str, Any], products: str, files: Mapping[str, str]) -> str:
+    """A run: its state, its figures, a picture of the DTM, what was decided, and links to its files.
+
+    Parameters
+    ----------
+    run : mapping
+        The content of run.json.
+    products : str
+        Path or URL of OUT.
+    files : mapping of str to str
+        Path or URL of each file, by its name in OUT.
+    """
+    title = f"tiler.run: {state_text(run).lower()}"
+    text = " ".join(f"{value} {name}," for name, value in figures(run)).rstrip(",")
+    return markup(
+        title,
+        el("p", sentence(run)),
+        el("p", text),
+        *_picture(run, products),
+        _list("Warnings", warned(run)),
+        el("p", "Decided automatically, or by you:"),
+        table(("setting", "value", "by", "why"), settled(run)),
+        _list("Noted on the way", noted(run)),
+        el("p", "Files: ", *_links(files)),
+    )
+
+
+def classified_markup(result: Mapping[str, Any], target: Path, notes: Sequence[str]) -> str:
+    """A classified cloud: points by class, what was noted, and a link to it.
+
+    Parameters
+    ----------
+    result : mapping
+        As `tiler.apps.classify.classify_file` returns it.
+    target : Path
+    notes : sequence of str
+        Notes and warnings.
+    """
+    rows = [(str(code), f"{points:,}") for code, points in result["classes"].items()]
+    failed = [f"{task['key']}: {task['error']}" for task in result["failed_tasks"]]
+    return markup(
+        f"tiler.classify: {counted(result['points'], 'point')} by the method {result['method']}",
+        table(("class", "points"), rows, (0, 1)),
+        el("p", f"{counted(result['changed'], 'point')} got another class than before."),
+        _list("Tiles that failed: their points keep their classes", failed),
+        _list("Noted on the way", notes),
+        el("p", "File: ", *_links({target.name: str(target)})),
+    )
+
+
+def check_markup(report: Mapping[str, Any]) -> str:
+    """A check of a DTM: the errors of NVA and VVA checkpoints, steps at seams, differences of strips, requirements."""
+    accuracy = report.get("accuracy", {})
+    names = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs")
+    rows = [
+        (group.upper(), *(value_text(accuracy[group][name]) for name in names))
+        for group in ("nva", "vva", "all")
+        if accuracy and accuracy[group]["points"]
+    ]
+    headings = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within")
+    required = [
+        (r["name"], f"{r['limit']:g}", value_text(r["value"]), "yes" if r["met"] else "NO")
+        for r in report["requirements"]
+    ]
+    return markup(
+        f"tiler.check: {report['dtm']}",
+        el("p", f"DTM minus checkpoints, {accuracy['unit']}:") if rows else None,
+        table(headings, rows, range(1, 7)) if rows else None,
+        el("p", accuracy["asprs"]["statement"]) if accuracy and accuracy["asprs"]["statement"] else None,
+        facts(dict(_steps(report))),
+        table(("required", "limit", "measured", "met"), required, (1, 2)) if required else None,
+        _list("Noted", accuracy.get("notes", ())),
+        el("p", "Drawn: ", *_links({Path(p).name: p for p in report["figures"]}))
+        if report["figures"]
+        else None,
+    )
+
+
+def _steps(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Names and values of what needs no checkpoints."""
+    if "seams" in report:
+        seams = report["seams"]
+        for name in ("tiles", "interior"):
+            yield f"mean step, {name}", f"{value_text(seams[name]['mean_step'])} {seams['unit']}"
+    if "strips" in report and report["strips"]["pairs"]:
+        strips = report["strips"]
+        yield "RMSE between strips", f"{value_text(strips['all']['rmse'])} {strips['unit']}"
+
+
+def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
+    """The hillshade of the DTM, if there is one and it can be read."""
+    name = next((name for name in ("dtm.tif", "dtm.vrt") if name in run.get("outputs", {})), None)
+    if name is None or state_at(place := joined(products, name)) is None:
+        return
+    try:
+        found = small_hillshade(place, run, PICTURE_PIXELS)
+    except (RasterioError, OSError) as error:
+        yield el("p", f"{place}: cannot be drawn ({error})")
+        return
+    width, height = found.size
+    yield el("p", el("img", src=found.uri, alt="Hillshade of the terrain model", width=width, height=height))
+
+
+def _list(title: str, texts: Sequence[str]) -> Content:
+    if not texts:
+        return None
+    more = [f"and {len(texts) - MOST_NOTES} more"] if len(texts) > MOST_NOTES else []
+    items = [el("li", text) for text in (*texts[:MOST_NOTES], *more)]
+    return el("div", el("p", f"{title}:"), el("ul", *items))
+
+
+def _links(files: Mapping[str, str]) -> Iterator[Content]:
+    """Links to files, apart by spaces."""
+    for name, place in list(files.items())[:MOST_LINKS]:
+        yield el("a", name, href=_href(place), target="_blank", rel="noopener")
+        yield " "
+    if len(files) > MOST_LINKS:
+        yield f"and {len(files) - MOST_LINKS} more"
+
+
+def _href(place: str) -> str:
+    """Where a browser finds a file: if it is below the current folder, which a notebook's server serves, from there."""
+    if is_url(place):
+        return place
+    path = Path(os.path.abspath(place))
+    try:
+        return path.relative_to(Path.cwd()).as_posix()
+    except (ValueError, OSError):
+        return path.as_uri()
