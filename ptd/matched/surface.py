@@ -10,6 +10,7 @@
 3. `ROUNDS` times, the mean residual of the cells that lie about the surface is added, at two scales; in the last of
    them what rises beside objects counts less. Noise is the root mean square of the residuals below the surface: what
    lies above may be plants.
+4. Ground grows to the edges of terraces and banks (`ptd.matched.growth`).
 
 Gaussian sums over cells are cut off at a fixed radius, so nothing beyond `reach_cells` has a part in the surface.
 """
@@ -27,6 +28,7 @@ import scipy
 from ptd.cells import Int32
 from ptd.frame import Scale
 from ptd.ground.morphology import Bool
+from ptd.matched import growth
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import LOWEST, Hull, hull_below
 
@@ -63,6 +65,8 @@ FEW = 0.05
 PLAIN_ROUNDS, BESIDE = 3, 0.2
 """After so many rounds, cells above the surface that touch one too high to be ground weigh no more than this: they are
 the rounded edges of cars, walls and plants. Not before, as until then the surface still climbs onto banks."""
+EDGE_ROUNDS = 2
+"""Times that the mean residual is added, at the smaller scale, where ground grew to an edge."""
 ABOVE_M, ABOVE_SIGMAS, BELOW_M, BELOW_SIGMAS = 0.1, 2.5, 0.3, 3.0
 """What lies about the surface: metres and times the local noise, above and below."""
 ABOUT_SLOPE = 0.15
@@ -157,7 +161,8 @@ def reach_cells() -> int:
     bent += sum(CREST_CELLS - 1 for h in RIDGES if h.curvature > OPEN_GROUND)
     about = max(slope, _radius(NOISE_M)) + _share_radius(CONTRAST_M)
     rounds = ROUNDS * sum(_radius(m) for m in SCALES_M) + ROUNDS - PLAIN_ROUNDS
-    return bent + 2 * about + rounds + _radius(max(EXTENDED_M))
+    edges = growth.reach_cells() + (1 + EDGE_ROUNDS) * _radius(SCALES_M[-1])
+    return bent + 2 * about + rounds + edges + _radius(max(EXTENDED_M))
 
 
 def ground_surface(
@@ -294,8 +299,28 @@ def _refined(cells: _Cells, surface: Float64, sigma_m: float) -> tuple[Float64, 
         for std_m in SCALES_M:
             mean = smoothed(weight * (cells.height - surface), std_m) / (smoothed(weight, std_m) + FEW)
             surface = surface + np.where(cells.there, mean, 0.0)
-    sigma, narrowing, _, _ = _about(cells, surface, sigma_m)
-    return surface, sigma, narrowing
+    sigma, narrowing, above, below = _about(cells, surface, sigma_m)
+    return _to_edges(cells, surface, sigma, narrowing, above, below), sigma, narrowing
+
+
+def _to_edges(
+    cells: _Cells, surface: Float64, sigma: Float64, narrowing: Float64, above: Float64, below: Float64
+) -> Float64:
+    """The surface after ground grew to the edges of terraces and banks; changed only near cells that joined."""
+    residual = cells.height - surface
+    ground = cells.there & (residual < above) & (residual > -below)
+    may_join = cells.there & (residual >= above) & (residual < growth.HIGHEST_M)
+    joined = growth.grown(cells.height, ground, may_join, sigma, narrowing)
+    joins = ~np.isnan(joined)
+    if not joins.any():
+        return surface
+    surface = np.where(joins, joined, surface)
+    weight = (ground | joins).astype(np.float64)
+    near = cells.there & scipy.ndimage.maximum_filter(joins, 2 * _radius(SCALES_M[-1]) + 1, mode="constant")
+    for _ in range(EDGE_ROUNDS):
+        mean = smoothed(weight * (cells.height - surface), SCALES_M[-1])
+        surface = surface + np.where(near, mean / (smoothed(weight, SCALES_M[-1]) + FEW), 0.0)
+    return surface
 
 
 def _about(cells: _Cells, surface: Float64, sigma_m: float) -> tuple[Float64, Float64, Float64, Float64]:

@@ -112,6 +112,19 @@ def test_a_narrow_crest_is_followed_where_it_is_steep(slope: float) -> None:
     assert (top > 1.7) if slope else (top < 0.4)
 
 
+@pytest.mark.parametrize("step_m", [2.0, 2.7])
+def test_a_terrace_is_ground_up_to_its_edge_but_not_what_stands_at_it(step_m: float) -> None:
+    """Hulls reach its top metres behind the edge; a hut on it rises at its walls."""
+    row, column, rng = places(128)
+    ground = np.where(row > 60, step_m, 0.0)
+    hut = (row > 64) & (row < 69) & (column > 60) & (column < 65)
+    z = ground + np.where(hut, 2.0, 0.0) + 0.03 * rng.standard_normal(row.shape)
+    error = (of(z, sigma_m=0.03).height - ground)[16:-16, 16:-16]
+    level, beside = abs(row - 60.5) > 1.0, maximum_filter(hut, 5)
+    assert np.mean(abs(error[(level & ~beside)[16:-16, 16:-16]]) < 0.15) > 0.98
+    assert error[hut[16:-16, 16:-16]].max() < 0.5
+
+
 def test_ground_is_followed_up_to_what_was_taken_out() -> None:
     """A round ridge between two roofs: open ground is a share of the cells that are left."""
     _, column, rng = places(70)

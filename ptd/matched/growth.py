@@ -1,0 +1,108 @@
+"""Ground up to the edges of terraces and banks, where a hull that bends only so much passes below.
+
+A hull reaches the top of a step some metres behind its edge. So ground grows there, cell by cell: a cell above the
+surface joins if it lies on the plane through the ground cells beside it. What stands on the ground rises from it at a
+wall, and on no plane of what is beside it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int64
+from ptd.ground.morphology import Bool
+from ptd.kernel import kernel
+
+STEPS = 12
+"""Cells that ground grows, at most."""
+HIGHEST_M = 3.0
+"""What lies higher above the surface does not join: roofs of houses on slopes may go on as the terrain above."""
+PLANE_CELLS, PLANE_SQUARE = 2, 5
+"""Ground cells of which a plane is made: as far along rows and columns, and the square of their distance."""
+LEAST, BESIDE = 6, 2
+"""Of how many a plane is made at least, and how many of them touch the cell."""
+LEVEL = 3.0
+"""Weight of no slope at all, in square cells: few cells in a row say nothing of the slope across it."""
+NEAR_M, NEAR_SIGMAS = 0.12, 1.5
+"""A cell is on the plane if it is so near, in metres and times the local noise: less where plants stand about it."""
+
+Float64 = npt.NDArray[np.float64]
+
+
+def reach_cells() -> int:
+    """Cells beyond which nothing has a part in whether a cell joins."""
+    return STEPS * PLANE_CELLS
+
+
+@kernel
+def _beside(ground: Bool, row: int, column: int) -> int:
+    n = 0
+    for r in range(row - 1, row + 2):
+        for c in range(column - 1, column + 2):
+            n += ground[r, c]
+    return n
+
+
+@kernel
+def _above_plane(height: Float64, ground: Bool, row: int, column: int) -> float:
+    """Height of a cell above the plane through the ground cells around it; NaN where there are too few."""
+    n, s, sx, sy, sz = 0, 0.0, 0.0, 0.0, 0.0
+    sxx, sxy, syy, sxz, syz = 0.0, 0.0, 0.0, 0.0, 0.0
+    for dy in range(-PLANE_CELLS, PLANE_CELLS + 1):
+        for dx in range(-PLANE_CELLS, PLANE_CELLS + 1):
+            square = dx * dx + dy * dy
+            if square <= PLANE_SQUARE and ground[row + dy, column + dx]:
+                w, z = 1.0 / (1.0 + 0.3 * square), height[row + dy, column + dx] - height[row, column]
+                n += 1
+                s, sx, sy, sz = s + w, sx + w * dx, sy + w * dy, sz + w * z
+                sxx, sxy, syy = sxx + w * dx * dx, sxy + w * dx * dy, syy + w * dy * dy
+                sxz, syz = sxz + w * dx * z, syz + w * dy * z
+    if n < LEAST:
+        return np.nan
+    x, y, z = sx / s, sy / s, sz / s
+    xx, xy, yy = sxx - s * x * x + LEVEL, sxy - s * x * y, syy - s * y * y + LEVEL
+    xz, yz = sxz - s * x * z, syz - s * y * z
+    area = xx * yy - xy * xy
+    east, north = (xz * yy - yz * xy) / area, (yz * xx - xz * xy) / area
+    return east * x + north * y - z
+
+
+@kernel
+def _grow(height: Float64, ground: Bool, near: Float64, rows: Int64, columns: Int64) -> Float64:
+    """Heights where cells joined, NaN elsewhere; ``ground`` is changed. All that join in a step do so together."""
+    found = np.full(height.shape, np.nan)
+    waiting = np.ones(rows.size, np.bool_)
+    joins = np.empty(rows.size, np.int64)
+    for _ in range(STEPS):
+        n = 0
+        for k in range(rows.size):
+            r, c = rows[k], columns[k]
+            if waiting[k] and _beside(ground, r, c) >= BESIDE:
+                above = _above_plane(height, ground, r, c)
+                if abs(above) < near[r, c]:
+                    found[r, c] = height[r, c] - 0.5 * above
+                    joins[n] = k
+                    n += 1
+        if n == 0:
+            break
+        for k in joins[:n]:
+            ground[rows[k], columns[k]], waiting[k] = True, False
+    return found
+
+
+def grown(height: Float64, ground: Bool, may_join: Bool, sigma: Float64, narrowing: Float64) -> Float64:
+    """Heights of cells that join the ground: halfway between the cell and the plane beside it, NaN elsewhere.
+
+    Parameters
+    ----------
+    height : float64 [rows, columns]
+        Of cells, metres.
+    ground, may_join : bool [rows, columns]
+        Cells that are ground, and that may be; none within `PLANE_CELLS` of the raster's edges.
+    sigma, narrowing : float64 [rows, columns]
+        Noise in metres, and how much nearer to the plane cells lie among plants (`ptd.matched.surface.Surface`).
+    """
+    rows, columns = np.nonzero(may_join)
+    near = (NEAR_M + NEAR_SIGMAS * sigma) * narrowing
+    return _grow(height, ground.copy(), near, rows.astype(np.int64), columns.astype(np.int64))
