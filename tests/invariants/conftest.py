@@ -9,12 +9,13 @@ import pytest
 from tests.invariants import clouds
 from tests.invariants.clouds import Cloud
 from tests.invariants.runs import do
+from tests.scenes.small_stores import small_stores
 
 
 @pytest.fixture(autouse=True)
 def small_buckets(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Buckets of 32 m, so that a scene has dozens of them; their size is settled in the store and changes no result."""
-    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
+    """Buckets of 32 m, so that a scene has dozens of them."""
+    small_stores(monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -39,6 +40,6 @@ def finished(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory
     """OUT of an undisturbed run of four files in this process: what all others are compared with. Not to be changed."""
     out = tmp_path_factory.mktemp("finished") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
+        small_stores(patch)
         do(quarter_files, out)
     return out

@@ -12,6 +12,7 @@ import rasterio
 
 from tests.invariants.clouds import CORNER
 from tests.invariants.runs import computed, do, output_digests
+from tests.scenes.small_stores import small_stores
 from tests.tiler.io.vector.files import collection
 from tiler.core.area import Area
 from tiler.core.products import PRODUCTS
@@ -50,7 +51,7 @@ def whole(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) -
     """OUT of all of the survey."""
     out = tmp_path_factory.mktemp("whole") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
+        small_stores(patch)
         assert do(quarter_files, out, **SETTINGS).exit_code == 0
     return out
 

@@ -17,6 +17,7 @@ import shapely
 from tests.invariants import clouds
 from tests.invariants.clouds import CORNER, Cloud
 from tests.invariants.runs import computed, do, settings
+from tests.scenes.small_stores import small_stores
 from tiler.core.products import NODATA
 from tiler.errors import ConfigError, InputError
 from tiler.plan import make_plan
@@ -160,7 +161,7 @@ def made(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) ->
     """OUT of a run with drawings. Not to be changed."""
     folder = tmp_path_factory.mktemp("drawn")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
+        small_stores(patch)
         do(quarter_files, folder / "out", **drawings(folder / "in"))
     return folder / "out"
 
@@ -169,7 +170,7 @@ def made(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) ->
 def test_neither_tiles_nor_buckets_nor_order_show(
     tile: str, made: Path, quarter_files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 4000)
+    small_stores(monkeypatch, 4000)
     do(quarter_files[::-1], tmp_path / "out", tile_size=tile, **drawings(tmp_path / "in"))
     assert digests(tmp_path / "out") == digests(made)
 

@@ -11,6 +11,7 @@ import distributed
 import pytest
 
 from tests.invariants.runs import do, output_digests
+from tests.scenes.small_stores import USUAL_ROW_POINTS, small_stores
 from tiler.schedule import Executor, Outcome, Perform, SerialExecutor, Task
 from tiler.schedule.workers import DaskExecutor
 
@@ -66,6 +67,7 @@ SLOW: dict[str, Callable[[], Executor]] = {
 def test_every_executor_gives_the_same_bytes(
     name: str, quarter_files: list[Path], finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)  # what workers know
     monkeypatch.setattr("tiler.runs.executors.make_executor", lambda *_: (EXECUTORS | SLOW)[name]())
     result = do(quarter_files, tmp_path / "out")
     assert result.exit_code == 0

@@ -18,12 +18,19 @@ from ptd.methods import METHODS
 from tests.invariants import clouds
 from tests.invariants.forked import ended, forked
 from tests.invariants.runs import all_digests, do, output_digests, the_store
+from tests.scenes.small_stores import USUAL_ROW_POINTS, small_stores
 from tiler.errors import StoreError
 
 METHOD = "auto"
 PASSES = sum(not isinstance(step, MatchedPass) for step in METHODS[METHOD].params().passes)  # a laser scan's
 STAGES = ("spool", "assemble", *(f"filter{n}" for n in range(PASSES)), "grid-dtm", "export")
 SIDE_M = 128.0
+
+
+@pytest.fixture(autouse=True)
+def usual_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that the processes know that are killed."""
+    small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)
 
 
 def finished_tasks(out: Path) -> dict[str, dict[str, str]]:

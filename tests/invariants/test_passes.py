@@ -110,7 +110,6 @@ class Parameters:
 @pytest.fixture(autouse=True)
 def lonely(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(METHODS, "lonely", Method("lonely", "three passes", Parameters))
-    monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
 
 
 def expected(cloud: clouds.Cloud) -> np.ndarray:

@@ -13,6 +13,7 @@ from rio_cogeo import cog_validate
 from tests.invariants import clouds
 from tests.invariants.clouds import Cloud
 from tests.invariants.runs import computed, do
+from tests.scenes.small_stores import USUAL_ROW_POINTS, small_stores
 from tests.tiler.report import results
 from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, NODATA, PRODUCTS
 from tiler.errors import ConfigError
@@ -30,7 +31,7 @@ def made(quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory) ->
     """OUT of a run with all products. Not to be changed."""
     out = tmp_path_factory.mktemp("products") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
+        small_stores(patch)
         do(quarter_files, out, products=ALL, resolution=RESOLUTION)
     return out
 
@@ -59,8 +60,10 @@ def test_each_is_a_cog_on_the_grid_of_the_dtm(name: str, made: Path) -> None:
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_other_tiles_and_workers_give_the_same_bytes(
-    workers: int, made: Path, quarter_files: list[Path], tmp_path: Path
+    workers: int, made: Path, quarter_files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if workers > 1:
+        small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)
     changes = {"products": ALL, "resolution": RESOLUTION, "tile_size": "96", "workers": workers}
     do(quarter_files[::-1], tmp_path / "out", **changes)
     assert digests(tmp_path / "out") == digests(made)
