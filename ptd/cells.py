@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,14 +28,27 @@ DENSE_CELLS_PER_POINT = 16
 
 
 @kernel
+def quotient(value: int, divisor: int, inverse: float) -> int:
+    """Floor of an integer divided by another (above 0), given 1 / divisor: some times faster than dividing.
+
+    Exact for quotients below 2**50, as the rounded product is less than one off.
+    """
+    found = math.floor(float(value) * inverse)
+    rest = value - found * divisor
+    if rest < 0:
+        return found - 1
+    return found + 1 if rest >= divisor else found
+
+
+@kernel
 def cell_keys(
     x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, width: int
 ) -> Int64:
     """``row * width + column`` of each point, relative to (col0, row0): int64 [n]."""
-    out = np.empty(x.size, np.int64)
+    out, inverse = np.empty(x.size, np.int64), 1.0 / p
     for i in range(x.size):
-        column = ((np.int64(x[i]) + ox) * q) // p - col0
-        row = ((np.int64(y[i]) + oy) * q) // p - row0
+        column = quotient((wide(x[i]) + ox) * q, p, inverse) - col0
+        row = quotient((wide(y[i]) + oy) * q, p, inverse) - row0
         out[i] = row * width + column
     return out
 
@@ -175,7 +189,9 @@ class CellIndex:
         point_keys = cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, width)
         ordered = bool((point_keys[1:] >= point_keys[:-1]).all())
         order = np.arange(x.size) if ordered else np.argsort(point_keys, kind="stable")
-        keys, first = np.unique(point_keys[order], return_index=True)
+        point_keys = point_keys if ordered else point_keys[order]
+        first = np.flatnonzero(np.append(True, point_keys[1:] != point_keys[:-1]))
+        keys = point_keys[first]
         slots = np.zeros(0, np.int32)
         if width * height <= DENSE_CELLS_PER_POINT * x.size + 1024:
             slots = np.full(width * height, -1, np.int32)
@@ -216,10 +232,10 @@ def _find(
     x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, table: CellTable
 ) -> Int32:
     slots, keys, _starts, _order, width, height = table
-    out = np.empty(x.size, np.int32)
+    out, inverse = np.empty(x.size, np.int32), 1.0 / p
     for i in range(x.size):
-        column = ((wide(x[i]) + ox) * q) // p - col0
-        row = ((wide(y[i]) + oy) * q) // p - row0
+        column = quotient((wide(x[i]) + ox) * q, p, inverse) - col0
+        row = quotient((wide(y[i]) + oy) * q, p, inverse) - row0
         out[i] = find_slot(slots, keys, width, height, column, row)
     return out
 

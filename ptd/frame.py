@@ -76,6 +76,14 @@ class Cells:
         rows: npt.NDArray[np.int64] = ((y.astype(np.int64) + self.origin_y) * self.q) // self.p
         return columns, rows
 
+    def corners(
+        self, columns: npt.NDArray[np.int64], rows: npt.NDArray[np.int64]
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Western and southern edges of cells, local counts: int64 [n] each."""
+        west: npt.NDArray[np.int64] = -((-columns * self.p) // self.q) - self.origin_x
+        south: npt.NDArray[np.int64] = -((-rows * self.p) // self.q) - self.origin_y
+        return west, south
+
     def west(self, column: int) -> int:
         """Western edge of a column, local counts."""
         return -((-column * self.p) // self.q) - self.origin_x

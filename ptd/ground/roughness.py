@@ -295,8 +295,7 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
     point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
     keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
-    corner_x = np.array([cells.west(int(k) % width + col0) for k in keys], np.int64)
-    corner_y = np.array([cells.south(int(k) // width + row0) for k in keys], np.int64)
+    corner_x, corner_y = cells.corners(keys % width + col0, keys // width + row0)
     corners, tallest, ratio = (corner_x, corner_y), scale.counts_z(TALLEST_M), scale.z_ratio
     moments = _sums(points, slot, corners, (cells.p, cells.q), tallest)
     low, high, sums, first = moments

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ptd.cells import CellIndex, lowest_per_cell, occupied, slot_of
+from ptd.cells import CellIndex, lowest_per_cell, occupied, quotient, slot_of
 from ptd.frame import Cells, Scale
 
 FEET = Fraction(3048, 10**7)
@@ -143,3 +143,10 @@ def test_occupied_cells_in_a_raster_or_sorted(n_cells: int) -> None:
     assert found.tolist() == [0, 3, 7, 49]
     assert slot.tolist() == [2, 1, 3, 1, 2, 0]
     assert occupied(keys[:0], n_cells)[0].size == 0
+
+
+@settings(max_examples=300, deadline=None)
+@given(found=st.integers(-(2**40), 2**40), rest=st.integers(0, 2**22), divisor=st.integers(1, 2**22))
+def test_quotients_are_those_of_integers(found: int, rest: int, divisor: int) -> None:
+    for value in (found * divisor + rest % divisor, found * divisor - 1):
+        assert quotient(value, divisor, 1.0 / divisor) == value // divisor

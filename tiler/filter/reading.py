@@ -53,27 +53,36 @@ class TileReader:
         self._near: dict[Cell, BucketInfo] | None = None
         self._held: OrderedDict[Cell, Bucket] = OrderedDict()
         self._held_bytes = 0
+        self._window: tuple[Points, dict[Cell, slice]] | None = None
 
     def window(self, bounds: Bounds, cell_m: float) -> tuple[Points, bool]:
         """What a pass looks at, and whether a label among it is marked.
 
         Points that can become vertices: the store's candidates where the method's cells are made of whole fine cells.
         """
+        places: dict[Cell, slice] = {}
         if self._step.elected:
             block = self._elected(bounds)
         else:
             fine, frame = self._store.meta.fine.size, self._store.meta.frame
             nested = cell_m > 0 and (frame.counts(Fraction(repr(float(cell_m)))) / fine).denominator == 1
             if nested and not self._step.every_point:
-                block = self._store.window(bounds, self._columns, candidates_only=True, labels=self._labels)
+                block = self._store.window(bounds, self._columns, True, self._labels, places)
             else:
                 columns = (*self._columns, "classification", "flags")
                 block = self._store.window(bounds, columns, labels=self._labels)
                 block = block.take(self._taking_part(block))
-        return self._as_points(block), _any_marked(block)
+        points = self._as_points(block)
+        # A pass that labels candidates alone finds those of its core in the window: they are read once.
+        self._window = (points, places) if places and self._work.of_candidates else None
+        return points, _any_marked(block)
 
     def own(self, cell: Cell) -> Bucket:
-        """The points of a bucket that the pass labels."""
+        """The points of a bucket of the core that the pass labels."""
+        if self._window is not None:
+            points, places = self._window
+            points = points.take(places.get(cell, slice(0, 0)))
+            return Bucket(points, np.ones(len(points), np.bool_), False)  # marks of the window count for all
         if cell in self._held:
             self._held.move_to_end(cell)
             return self._held[cell]

@@ -90,8 +90,9 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
             store.write_elected_labels(work.labels_out, cell, found)
         else:
             store.write_labels(work.labels_out, cell, found, work.of_candidates)
-    given = np.concatenate(list(labels.values())) if labels else np.zeros(0, np.uint8)
-    counts = np.bincount(given & ~np.uint8(MARK_BIT), minlength=256)
+    counts = np.zeros(256, np.int64)
+    for found in labels.values():
+        counts += np.bincount(found & ~np.uint8(MARK_BIT), minlength=256)
     return {
         "points": int(counts.sum()),
         "ground": int(counts[GROUND]),

@@ -21,7 +21,7 @@ from typing import Any
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
-from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes, nested
+from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
 from tiler.plan.model import MAX_HALO_FACTOR
 from tiler.plan.sizes import SPARSE_TILE_M
 
@@ -169,7 +169,7 @@ def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[
 def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
     """Peak bytes of a worker that does a tile with that halo: the points of its window are known."""
     lattice = plan.meta.bucket
-    column = "n_candidates" if not step.every_point and nested(plan.candidate_cell_m) else "n"
+    column = "n_candidates" if not step.every_point and plan.on_candidates else "n"
     if step.elected:
         column = "n_elected"
     window = lattice.hull(cells).pad(halo)
@@ -182,8 +182,8 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
         kept = held_bytes(plan.tile_memory)
     if step.raster_cell_m:
         across = lattice.hull(near).intersection(window).area() * float(plan.meta.frame.metres_xy) ** 2
-        window_bytes = filter_bytes(sum(held), across, 0.0, step)
+        window_bytes = filter_bytes(sum(held), across, 0.0, step, plan.fine_m)
     else:
         thinned = 0.0 if step.elected else plan.candidate_cell_m  # the number of elected points is known
-        window_bytes = filter_bytes(sum(held), area, thinned, step)
+        window_bytes = filter_bytes(sum(held), area, thinned, step, plan.fine_m)
     return int(BASE_BYTES + window_bytes + bucket_bytes(bucket) + kept)

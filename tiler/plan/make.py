@@ -26,7 +26,7 @@ from tiler.plan.density_map import DensityMap
 from tiler.plan.disk import emptiness_warning, too_much_between
 from tiler.plan.distant_files import LeftOut, beyond_frame, minority
 from tiler.plan.drawings import with_drawings
-from tiler.plan.memory import FINE_CELL_M, PlannedPass
+from tiler.plan.memory import PlannedPass, fine_cell_m
 from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
 from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
 from tiler.report import earlier_statistics
@@ -128,17 +128,17 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     bucket = sizes.bucket_m(density, density_map, memory)
     if found.area is not None and any(is_url(s.path) and s.octree is not None for s in filled):
         bucket = min(bucket, sizes.FETCHED_BUCKET_M)
+    cell = defaults.candidate_cell_m if defaults else 0.0
     meta = StoreMeta(
         frame=frame,
         bucket=Lattice(frame.counts(Fraction(bucket))),
-        fine=Lattice(frame.counts(FINE_CELL_M)),
+        fine=Lattice(frame.counts(fine_cell_m(cell, Fraction(bucket)))),
         has_rgb=any(s.has_rgb for s in filled),
     )
     if defaults and "rgb" in METHODS[config.method].needs and not meta.has_rgb:
         raise ConfigError(
             f"--method {config.method}: needs colours (RGB), no input has any; use another method"
         )
-    cell = defaults.candidate_cell_m if defaults else 0.0
     known = None
     if config.statistics is not None:
         known = earlier_statistics(Path(config.statistics), config.method, parameters)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 FINE_CELL_M = Fraction(1, 2)
-"""Side of the store's cells, each with one candidate."""
+"""Side of the store's cells, each with one candidate, where the method has none of its own (`fine_cell_m`)."""
 BASE_BYTES = 260 << 20
 """A worker before the first point: the interpreter and the libraries."""
 READ_BYTES = 60
@@ -107,12 +107,18 @@ def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window
     return int(PIECE_BYTES * pieces.sum() + NEAR_PIECE_BYTES * most)
 
 
-def nested(cell_m: float) -> bool:
+def fine_cell_m(cell_m: float, bucket_m: Fraction) -> Fraction:
+    """Side of the cells with one candidate each: the method's own (0: it has none), if buckets are made of them."""
+    own = Fraction(repr(float(cell_m)))
+    return own if own > 0 and (bucket_m / own).denominator == 1 else FINE_CELL_M
+
+
+def nested(cell_m: float, fine_m: Fraction) -> bool:
     """Whether a method's cells of ``cell_m`` are made of whole fine cells, so that candidates are all it reads."""
-    return cell_m > 0 and (Fraction(repr(float(cell_m))) / FINE_CELL_M).denominator == 1
+    return cell_m > 0 and (Fraction(repr(float(cell_m))) / fine_m).denominator == 1
 
 
-def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass) -> float:
+def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass, fine_m: Fraction) -> float:
     """Bytes, above `BASE_BYTES`, that a window of a pass needs.
 
     Elected points are reckoned as one in each thinning cell at most: how many there are is known later. A raster has
@@ -127,13 +133,15 @@ def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass
     cell_m : float
         Of the method's thinning cell (`candidate_cell_m`); 0: it has none.
     step : PlannedPass
+    fine_m : Fraction
+        Side of the store's cells.
     """
     vertices = min(points, area_m2 / cell_m**2) if cell_m > 0 else points
     read = points
     if step.elected:
         read = vertices
-    elif not step.every_point and nested(cell_m):
-        read = min(points, area_m2 / float(FINE_CELL_M) ** 2)
+    elif not step.every_point and nested(cell_m, fine_m):
+        read = min(points, area_m2 / float(fine_m) ** 2)
     if step.raster_cell_m:
         vertices = area_m2 / step.raster_cell_m**2
     return read * READ_BYTES + vertices * VERTEX_BYTES

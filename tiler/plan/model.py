@@ -184,10 +184,20 @@ class Plan:
         """Padded area over core area of a filter tile with that halo."""
         return float(((self.tile + 2 * Fraction(halo_m)) / self.tile) ** 2)
 
+    @property
+    def fine_m(self) -> Fraction:
+        """Side of the store's cells with one candidate each."""
+        return self.meta.fine.size * self.meta.frame.metres_xy
+
+    @property
+    def on_candidates(self) -> bool:
+        """Whether the method's cells are made of the store's: then its passes need no other points than candidates."""
+        return nested(self.candidate_cell_m, self.fine_m)
+
     def joins(self, step: PlannedPass) -> bool:
         """Whether tiles of a pass are as large as memory allows: it looks at candidates, and no size was asked for."""
-        on_candidates = not (step.every_point or step.elected or step.raster_cell_m)
-        return self.tile_workers > 0 and on_candidates and nested(self.candidate_cell_m)
+        looks_at_them = not (step.every_point or step.elected or step.raster_cell_m)
+        return self.tile_workers > 0 and looks_at_them and self.on_candidates
 
     def tile_memory_of(self, step: PlannedPass) -> int:
         """Bytes of a worker that the tiles of a pass are cut for."""
@@ -353,7 +363,7 @@ class Plan:
             points = max(points, self.density_map.fullest(side))
             bucket = max(bucket, self.density_map.fullest(bucket_m))
         raster = min(side**2, extent) if step.raster_cell_m else area
-        window = filter_bytes(points, raster, self.candidate_cell_m, step)
+        window = filter_bytes(points, raster, self.candidate_cell_m, step, self.fine_m)
         held = held_bytes(self.memory) if step.margin_m else 0
         return int(BASE_BYTES + window + bucket_bytes(bucket) + held)
 

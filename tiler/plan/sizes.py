@@ -109,8 +109,10 @@ def tile_m(
     passes = tuple(passes)
     passes = tuple(step for step in passes if not step.every_point) or passes
     budget = max(memory - BASE_BYTES, memory // 4) * 3 / 4
+    fine_m = meta.fine.size * meta.frame.metres_xy
     sides = [
-        math.sqrt(budget / filter_bytes(density, 1.0, cell_m, step)) - 2 * step.halo_m for step in passes
+        math.sqrt(budget / filter_bytes(density, 1.0, cell_m, step, fine_m)) - 2 * step.halo_m
+        for step in passes
     ]
     most = min(max(TILE_M, math.sqrt(TILE_POINTS / density)), SPARSE_TILE_M)
     side = min(sides, default=most)

@@ -22,7 +22,7 @@ from tiler.filter import LABELS, FilterTile, filter_tile, sight_m
 from tiler.grid import GridBlock, GroundRule, full_halo, grid_block
 from tiler.plan import KEEP, Plan
 from tiler.plan.filter_tiles import tiles_of
-from tiler.plan.memory import held_bytes, nested
+from tiler.plan.memory import held_bytes
 from tiler.schedule import Task, digest_of
 from tiler.store import Commits
 from tiler.version import __version__
@@ -138,7 +138,7 @@ def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[boo
     if not step.gives_labels:
         return False, False
     later = later_passes(params.passes, number, state)
-    few = not (step.elected or step.elects or step.label_margin_m) and nested(plan.candidate_cell_m)
+    few = not (step.elected or step.elects or step.label_margin_m) and plan.on_candidates
     return not later, few and read_at_candidates(later)
 
 

@@ -98,6 +98,7 @@ class PointColumns:
         fields: Sequence[str],
         keep: Keep | None = None,
         labels: rows.RowArray | None = None,
+        kept: list[int] | None = None,
     ) -> PointBlock:
         """The points of ``parts`` in order, those of each part masked by ``keep``.
 
@@ -110,6 +111,8 @@ class PointColumns:
             Given a part and its xyz: the mask of the points to keep, None for all.
         labels : RowArray, optional
             Labels of a pass, to come along.
+        kept : list of int, optional
+            Receives how many points of each part there are.
         """
         columns = self._needed(fields)
         arrays = {c.name: self._arrays[c.name] for c in columns}
@@ -118,6 +121,8 @@ class PointColumns:
         gathered: Gathered = {name: [] for name in arrays}
         for start in range(0, len(parts), _ROWS_AT_ONCE):
             _gather(arrays, parts[start : start + _ROWS_AT_ONCE], keep, gathered)
+        if kept is not None:
+            kept.extend(piece.shape[1] for piece in gathered["xyz"])
         found: dict[str, npt.NDArray[Any]] = {}
         for column in columns:
             values = _side_by_side(gathered, column.name, column.kind)
@@ -173,9 +178,7 @@ def _masked(values: npt.NDArray[Any], mask: Mask) -> npt.NDArray[Any]:
     """A copy of the values (width, n) of a mask, of all for None: the chunk that they lie in can go."""
     if mask is None:
         return values.copy()
-    kept = np.empty((len(values), np.count_nonzero(mask)), values.dtype)
-    for row, out in zip(values, kept, strict=True):
-        np.compress(mask, row, out=out)  # several times faster than `values[:, mask]`
+    kept: npt.NDArray[Any] = np.compress(mask, values, axis=1)  # three times faster than `values[:, mask]`
     return kept
 
 

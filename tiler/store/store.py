@@ -240,12 +240,13 @@ class TileStore:
         columns: Sequence[str] = ("xyz",),
         candidates_only: bool = False,
         labels: str | None = None,
+        places: dict[Cell, slice] | None = None,
     ) -> PointBlock:
         """All points of ``bounds``, each once, with the labels of that name if one is given: the halo view.
 
         Buckets come row by row from the south-west, their points in stored order, whatever the bounds. Reads
         the buckets that overlap and no others; needs the memory of the result, of one of its columns once
-        more, and of eight rows.
+        more, and of eight rows. ``places`` receives where in the result the points of each bucket are.
         """
         parts = [
             part
@@ -253,7 +254,16 @@ class TileStore:
             for part in points.parts_of(bucket, _count(bucket, candidates_only))
         ]
         keep = points.inside(bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell))
-        return self._points.read(parts, columns, keep, None if labels is None else self._label_array(labels))
+        kept: list[int] = []
+        given = None if labels is None else self._label_array(labels)
+        block = self._points.read(parts, columns, keep, given, kept)
+        if places is not None:
+            end = 0
+            for part, n in zip(parts, kept, strict=True):
+                before = places.get(part.bucket.cell, slice(end, end))
+                end += n
+                places[part.bucket.cell] = slice(before.start, end)
+        return block
 
     def _label_array(self, name: str) -> rows.RowArray:
         if name not in self._labels:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ def spot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return clouds.write(tmp_path_factory.mktemp("spot") / "spot.las", scattered(36_000, SPOT_M2**0.5, 80.0))
 
 
-def planned(*paths: Path, **settings: str) -> Plan:
+def planned(*paths: Path, **settings: str | dict[str, str]) -> Plan:
     """With parts of blocks that see 52 m."""
     values = {"max_edge": "9.9", "resolution": "1", "memory": "1GiB", "method": "classic", **settings}
     return make_plan([str(path) for path in paths], RunConfig.from_mapping(values))
@@ -44,6 +45,19 @@ def test_one_dense_place_is_enough_to_thin(wide: Path, spot: Path, monkeypatch: 
     assert both.thin_ground
     assert alone.fullest_part < 3 * 52**2
     assert 10_000 < both.fullest_part <= (4 * 52.0) ** 2
+
+
+def test_candidates_are_those_of_the_method(wide: Path) -> None:
+    """Finer ones would only be read, never used; where buckets are not made of its cells, the usual ones are."""
+    for cell, fine in (
+        ("1", 1),
+        ("0.25", Fraction(1, 4)),
+        ("2", 2),
+        ("0.3", Fraction(1, 2)),
+        ("0.7", Fraction(1, 2)),
+    ):
+        plan = planned(wide, parameters={"thin_cell": cell})
+        assert (plan.fine_m, plan.on_candidates) == (fine, cell not in ("0.3", "0.7"))
 
 
 def test_ground_beside_objects_is_left_out_before_it_is_thinned(spot: Path) -> None:

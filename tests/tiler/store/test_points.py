@@ -53,8 +53,13 @@ def test_a_window_holds_the_points_inside_each_once(
     infos = put(store, block)
     bounds = Bounds(*corners)
 
-    found = open_store(store.url).window(bounds, FIELDS, candidates_only)
+    places: dict[Cell, slice] = {}
+    found = open_store(store.url).window(bounds, FIELDS, candidates_only, places=places)
 
+    for cell, place in places.items():
+        own = store.read_bucket(cell, FIELDS, candidates_only)
+        assert same(found.take(place), own.take(own.inside(bounds, meta.frame.origin)))
+    assert sum(place.stop - place.start for place in places.values()) == len(found)
     expected = [
         store.read_bucket(cell, FIELDS, candidates_only) for cell in sorted(infos, key=lambda c: (c.iy, c.ix))
     ]
