@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Iterator
@@ -51,15 +52,15 @@ def ended_in_time(own_process: bool) -> Iterator[Ending]:
     own_process : bool
         The command is all that this process does: its last moments, after the block, are watched as well.
     """
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
+    reading, writing = socket.socketpair()  # a pipe that does not block is not to be had everywhere
+    writing.setblocking(False)
     done = threading.Event()
     threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
     ending, before = Ending(own_process), {number: signal.getsignal(number) for number in SIGNALS}
     signal.signal(signal.SIGTERM, ending.interrupt)
     if before[signal.SIGINT] is signal.default_int_handler:  # not ignored, as in the background of a script
         signal.signal(signal.SIGINT, ending.interrupt)
-    woken_before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    woken_before = signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
     try:
         yield ending
     finally:
@@ -68,7 +69,9 @@ def ended_in_time(own_process: bool) -> Iterator[Ending]:
         if not own_process:
             signal.set_wakeup_fd(woken_before)
             done.set()
-            os.close(writing)  # the thread reads the end, and closes the other one
+            writing.close()  # the thread reads the end, and closes the other one
+        else:
+            writing.detach()  # stays open to the last
 
 
 def end_at_once(code: int) -> NoReturn:
@@ -92,11 +95,11 @@ def _end_children() -> None:
                 child.kill()
 
 
-def _watch(reading: int, done: threading.Event) -> None:
-    while number := os.read(reading, 1):
+def _watch(reading: socket.socket, done: threading.Event) -> None:
+    while number := reading.recv(1):
         if number[0] in SIGNALS and not done.wait(GRACE_SECONDS):
             _end_children()
             with suppress(OSError):
                 os.write(2, FORCED)
             os._exit(exit_codes.INTERRUPTED)
-    os.close(reading)
+    reading.close()

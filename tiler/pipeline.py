@@ -20,6 +20,7 @@ from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_second
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
 from tiler.runs.job import Job, Ownership, RunResult
+from tiler.schedule import limits_memory
 from tiler.stages.corrections import correct
 from tiler.stages.export import export
 from tiler.stages.filter import filter_points
@@ -134,6 +135,10 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     left_out = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in plan.unreadable]
     for text in (*left_out, *plan.warnings):
         listener("warning", {"text": text})
+    if not (limits_memory() or plan.config.in_process):
+        job.note(
+            "this system cannot limit the memory of a process: a worker that needs more than planned is not stopped"
+        )
     if is_url(job.products):
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"

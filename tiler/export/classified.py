@@ -31,7 +31,7 @@ from tiler.io.las.records import VariableRecord
 from tiler.io.las.unchanged import refuse_changed, unchanged
 from tiler.io.las.writer import PlainWriter, PointWriter, laszip_vlr
 from tiler.io.locations import cloud_path, folder_for, state_of
-from tiler.io.partial_files import partial_path
+from tiler.io.partial_files import partial_path, sync_folder
 from tiler.store import TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27
@@ -96,7 +96,7 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
         refuse_changed(header.path, header.state)
         digest = digest_of_file(partial)
         os.replace(partial, out)
-        _sync_folder(out.parent)
+        sync_folder(out.parent)
     except OSError as error:
         raise refused_write(str(out), error, out.parent) from error
     finally:
@@ -325,12 +325,3 @@ def _copy(source: BinaryIO, target: BinaryIO, start: int, stop: int) -> None:
             raise OSError(f"the source ends at byte {stop - left}")
         target.write(part)
         left -= len(part)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the new name last."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

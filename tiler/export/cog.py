@@ -28,7 +28,7 @@ from tiler.export.geotiff import CACHE_MB, RasterLook, plain_geotiff, raster_err
 from tiler.export.work import ProductFile, WriteCog
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.locations import cloud_path, folder_for, joined, state_of
-from tiler.io.partial_files import partial_path
+from tiler.io.partial_files import partial_path, sync_folder
 from tiler.store import TileStore, open_store
 
 
@@ -214,8 +214,4 @@ def _publish(partial: Path, target: Path) -> None:
         with open(partial, "rb") as stream:
             os.fsync(stream.fileno())
         os.replace(partial, target)
-        folder = os.open(target.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        sync_folder(target.parent)

@@ -49,3 +49,14 @@ def is_scratch(name: str) -> bool:
     return name.startswith(SCRATCH_PREFIX) and (
         name.endswith(".partial") or ".partial." in name or ".partial-" in name
     )
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder last, where the system can open folders; raises OSError."""
+    if not hasattr(os, "O_DIRECTORY"):  # Windows
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

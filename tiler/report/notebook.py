@@ -16,7 +16,7 @@ from tiler.report.pictures import small_hillshade
 from tiler.report.sections import counted, figures, noted, sentence, settled, state_text, value_text, warned
 
 PICTURE_PIXELS = 480
-"""Of the longer side of a picture."""
+"""Of the longer side of a picture; a smaller raster is shown as large as whole pixels make it."""
 MOST_LINKS = 12
 MOST_NOTES = 20
 
@@ -39,11 +39,10 @@ def run_markup(run: Mapping[str, Any], products: str, files: Mapping[str, str]) 
         Path or URL of each file, by its name in OUT.
     """
     title = f"tiler.run: {state_text(run).lower()}"
-    text = " ".join(f"{value} {name}," for name, value in figures(run)).rstrip(",")
     return markup(
         title,
         el("p", sentence(run)),
-        el("p", text),
+        table(("figure", "value"), list(figures(run)), (1,)),
         *_picture(run, products),
         _list("Warnings", warned(run)),
         el("p", "Decided automatically, or by you:"),
@@ -81,13 +80,13 @@ def check_markup(report: Mapping[str, Any]) -> str:
     accuracy = report.get("accuracy", {})
     names = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs")
     rows = [
-        (group.upper(), *(value_text(accuracy[group][name]) for name in names))
+        (group.upper(), *(_rounded(accuracy[group][name]) for name in names))
         for group in ("nva", "vva", "all")
         if accuracy and accuracy[group]["points"]
     ]
     headings = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within")
     required = [
-        (r["name"], f"{r['limit']:g}", value_text(r["value"]), "yes" if r["met"] else "NO")
+        (r["name"], f"{r['limit']:g}", _rounded(r["value"]), "yes" if r["met"] else "NO")
         for r in report["requirements"]
     ]
     return markup(
@@ -109,10 +108,15 @@ def _steps(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if "seams" in report:
         seams = report["seams"]
         for name in ("tiles", "interior"):
-            yield f"mean step, {name}", f"{value_text(seams[name]['mean_step'])} {seams['unit']}"
+            yield f"mean step, {name}", f"{_rounded(seams[name]['mean_step'])} {seams['unit']}"
     if "strips" in report and report["strips"]["pairs"]:
         strips = report["strips"]
-        yield "RMSE between strips", f"{value_text(strips['all']['rmse'])} {strips['unit']}"
+        yield "RMSE between strips", f"{_rounded(strips['all']['rmse'])} {strips['unit']}"
+
+
+def _rounded(value: float | None) -> str:
+    """A figure to the millimetre."""
+    return f"{value:.3f}" if isinstance(value, float) else value_text(value)
 
 
 def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
@@ -125,8 +129,11 @@ def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
     except (RasterioError, OSError) as error:
         yield el("p", f"{place}: cannot be drawn ({error})")
         return
-    width, height = found.size
-    yield el("p", el("img", src=found.uri, alt="Hillshade of the terrain model", width=width, height=height))
+    times = max(PICTURE_PIXELS // max(found.size), 1)
+    width, height = (times * side for side in found.size)
+    look = "image-rendering: pixelated"
+    alt = "Hillshade of the terrain model"
+    yield el("p", el("img", src=found.uri, alt=alt, width=width, height=height, style=look))
 
 
 def _list(title: str, texts: Sequence[str]) -> Content:
@@ -138,8 +145,8 @@ def _list(title: str, texts: Sequence[str]) -> Content:
 
 
 def _links(files: Mapping[str, str]) -> Iterator[Content]:
-    """Links to files, apart by spaces."""
-    for name, place in list(files.items())[:MOST_LINKS]:
+    """Links to files, apart by spaces; those in folders last, as there may be many."""
+    for name, place in sorted(files.items(), key=lambda file: "/" in file[0])[:MOST_LINKS]:
         yield el("a", name, href=_href(place), target="_blank", rel="noopener")
         yield " "
     if len(files) > MOST_LINKS:

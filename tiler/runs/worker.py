@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import resource
-import sys
 import time
 import traceback
 from contextlib import suppress
 from typing import Any
+
+import psutil
 
 from tiler.errors import DamagedError, DiskFullError, TilerError
 from tiler.schedule import Outcome, Task
@@ -19,13 +19,13 @@ from tiler.store import open_store
 def peak_rss_bytes() -> int:
     """Largest resident memory of this process so far."""
     try:
-        # Where there is one: `getrusage` of a child begins with the peak of the process that started it.
+        # `getrusage` of a child begins with the peak of the process that started it.
         with open("/proc/self/status", encoding="ascii") as status:
             line = next(line for line in status if line.startswith("VmHWM:"))
         return int(line.split()[1]) * 1024
-    except (OSError, StopIteration):
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak if sys.platform == "darwin" else peak * 1024
+    except (OSError, StopIteration):  # not Linux
+        memory = psutil.Process().memory_info()
+        return int(getattr(memory, "peak_wset", memory.rss))  # of Windows; else what it is now
 
 
 def _forget_peak() -> None:
@@ -40,7 +40,7 @@ def _give_back() -> None:
     The allocator of the C library keeps what a task freed, in pieces too small for the next stage's arrays: a worker
     would grow with the number of tasks that it has done.
     """
-    with suppress(OSError, AttributeError):  # of glibc alone
+    with suppress(OSError, AttributeError, TypeError):  # of glibc alone
         library: Any = ctypes.CDLL(None)
         library.malloc_trim(0)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tiler.schedule.guard import Died, Guard
+from tiler.schedule.guard import Died, Guard, limits_memory
 from tiler.schedule.isolated_reading import half_of_memory, read_apart, seconds_for
 from tiler.schedule.parallel_calls import Guards
 from tiler.schedule.serial import SerialExecutor
@@ -39,6 +39,7 @@ __all__ = [
     "Work",
     "digest_of",
     "half_of_memory",
+    "limits_memory",
     "make_executor",
     "read_apart",
     "seconds_for",

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import resource
 import signal
 import struct
 import subprocess
@@ -19,8 +18,15 @@ from contextlib import suppress
 from types import TracebackType
 from typing import IO, Any, TypeVar
 
-from tiler.errors import TilerError
+from tiler.errors import ConfigError, TilerError
 from tiler.import_path import trusted_path
+
+try:
+    import resource
+except ImportError:  # Windows
+    _resource: Any = None
+else:
+    _resource = resource
 
 Result = TypeVar("Result")
 
@@ -40,7 +46,7 @@ class Guard:
     Parameters
     ----------
     memory_bytes : int or None
-        What the child may allocate (RLIMIT_DATA, where the system enforces it); None: anything.
+        What the child may allocate, where the system can limit that (`limits_memory`); None: anything.
     """
 
     def __init__(self, memory_bytes: int | None = MEMORY_BYTES) -> None:
@@ -140,6 +146,8 @@ class Guard:
 
 def _child(memory_bytes: int | None) -> subprocess.Popen[bytes]:
     """Start a child that imports from where this process does, and never from the current folder (``-P``)."""
+    if not sys.executable:
+        raise ConfigError("no workers can start: Python does not know its own program (sys.executable)")
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
     limit = [] if memory_bytes is None else [str(memory_bytes)]
     return subprocess.Popen(
@@ -157,18 +165,24 @@ def _pipe(stream: IO[bytes] | None) -> IO[bytes]:
     return stream
 
 
+def limits_memory() -> bool:
+    """Whether this system holds a process to `limit_memory`: Linux alone counts all that it allocates."""
+    return _resource is not None and sys.platform == "linux"
+
+
 def limit_memory(size_bytes: int) -> None:
-    """Refuse to allocate more than this in this process; an allocation beyond fails at once."""
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    size = size_bytes if hard == resource.RLIM_INFINITY else min(size_bytes, hard)
-    resource.setrlimit(resource.RLIMIT_DATA, (size, hard))
+    """Refuse to allocate more than this in this process, where `limits_memory`; an allocation beyond fails at once."""
+    if limits_memory():
+        _, hard = _resource.getrlimit(_resource.RLIMIT_DATA)
+        size = size_bytes if hard == _resource.RLIM_INFINITY else min(size_bytes, hard)
+        _resource.setrlimit(_resource.RLIMIT_DATA, (size, hard))
 
 
 def _fate(code: int, late: bool, seconds: float) -> str:
     """What the exit code of a child says of its end, worded to follow its name."""
     if code == 1 and late:
         return f"did not end within {seconds:g} s"
-    if code == -signal.SIGKILL:
+    if code < 0 and signal.Signals(-code).name == "SIGKILL":
         return "was killed (SIGKILL), as a system does that runs out of memory"
     if code < 0:
         return f"crashed ({signal.Signals(-code).name})"
