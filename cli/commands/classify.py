@@ -37,9 +37,9 @@ SETTINGS = (
 def command(source: str, target: str, as_json: bool, **settings: Any) -> int:
     """One file to one classified file, with no store left behind.
 
-    OUT.laz (or OUT.las) gets the points of IN in the same order, with new classes. Needs no CRS: where IN has none, its
-    coordinates are taken for metres, or for what --units says. Where a tile fails its points keep the classes of IN:
-    the tile is named, and the exit code is 5.
+    OUT.laz (or OUT.las) gets the points of IN in the same order, with new classes; OUT.copc.laz has them by place.
+    Needs no CRS: where IN has none, its coordinates are taken for metres, or for what --units says. Where a tile fails
+    its points keep the classes of IN: the tile is named, and the exit code is 5.
     """
     config = read_config(settings)
     from tiler.apps.classify import classify_file

@@ -189,6 +189,17 @@ def test_clouds_are_written_as_las_or_not_at_all(folder: Path, out: Path, tmp_pa
     }  # fmt: skip
     assert first["properties"]["pc:encoding"] == "LAS"
     assert not list((again / "classified").rglob("*.laz"))
+    do(folder, again, **CITY, classified="copc")
+    (first, _) = read(again / "classified.vpc")["features"]
+    assert first["id"] == "east/a b"
+    assert first["assets"]["data"] == {
+        "href": "./classified/east/a b.copc.laz", "type": "application/vnd.laszip+copc", "roles": ["data"],
+    }  # fmt: skip
+    with laspy.CopcReader.open(again / "classified/east/a b.copc.laz") as reader:
+        points = reader.query()
+    assert sorted(points.array.tolist()) == sorted(
+        laspy.read(out / "classified/east/a b.laz").points.array.tolist()
+    )
     none = do(folder, again, **CITY, classified="none")
     assert none.exit_code == 0
     assert not (again / "classified.vpc").exists()

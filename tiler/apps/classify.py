@@ -13,7 +13,7 @@ from tiler.export import WriteClassified, write_classified
 from tiler.filter import LABELS
 from tiler.ingest import inspect, inspect_guarded, read_guarded
 from tiler.io.overwrite_check import Target, check_targets
-from tiler.io.result_folder import STORE
+from tiler.io.result_folder import COPC_SUFFIX, STORE
 from tiler.observe.events import Listener, silent
 from tiler.pipeline import run
 from tiler.plan import KEEP
@@ -34,7 +34,8 @@ def classify_file(
     Parameters
     ----------
     source, target : path
-        The target is LAZ or LAS, by its name, and appears under its name only when it is whole.
+        The target is LAZ, LAS or, as ``.copc.laz``, COPC, where points are not in the order of the source; it
+        appears under its name only when it is whole.
     config : RunConfig
     listener : callable
         Told what happens, see `tiler.observe.events`.
@@ -93,6 +94,7 @@ def _classify(
             cells=tuple(store.buckets()),
             salvage=config.salvage,
             stamp=info.stamp,
+            copc=target.name.lower().endswith(COPC_SUFFIX),
         )
         if config.in_process:
             record = write_classified(store.url, work)

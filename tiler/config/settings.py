@@ -152,8 +152,9 @@ class RunConfig:
         "2 pixels", unit="m", kind="length",
     )  # fmt: skip
     classified: str = setting(
-        "laz", "the points with their new classes, OUT/classified: laz, las (larger, quicker to read), or none",
-        kind="choice", choices=("laz", "las", "none"),
+        "laz", "the points with their new classes, OUT/classified: laz, las (larger, quicker to read), copc (by place, "
+        "not in the order of the input: other programs draw it at once and read parts of it), or none",
+        kind="choice", choices=("laz", "las", "copc", "none"),
     )  # fmt: skip
     outline: str = setting(
         "survey",

@@ -1,18 +1,12 @@
-"""Classified clouds: a source file again as LAZ or LAS, equal but for the classes that the run found.
-
-laspy rewrites what it does not keep (text behind a NUL, reserved bytes, counts, dates, bytes between
-records); here the header and its records are copied as bytes, the positions in them moved, and only the
-points pass through lazrs.
-"""
+"""Classified clouds: a source file again as LAZ, LAS or COPC, equal but for the classes that the run found."""
 
 from __future__ import annotations
 
 import os
-import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,15 +15,17 @@ from tiler.core.edits import OF_POINTS
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
+from tiler.export.cloud_frame import patch_window, write_back, write_copc_back, write_copc_front, write_front
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.work import WriteClassified
-from tiler.io.cloud_reading import digest_of_file, fetched_bytes, open_cloud
+from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_cloud
 from tiler.io.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
+from tiler.io.las.copc_writer import CopcWriter
 from tiler.io.las.headers import LasHeader
+from tiler.io.las.newer_formats import as_newer, newer_header
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
-from tiler.io.las.records import VariableRecord
 from tiler.io.las.unchanged import refuse_changed, unchanged
-from tiler.io.las.writer import PlainWriter, PointWriter, laszip_vlr
+from tiler.io.las.writer import PlainWriter, PointWriter
 from tiler.io.locations import cloud_path, folder_for, state_of
 from tiler.io.partial_files import partial_path, sync_folder
 from tiler.store import TileStore, open_store
@@ -39,11 +35,9 @@ ROWS_AT_ONCE = 1 << 27
 
 _CHUNK = 50_000
 _STEP = 10 * _CHUNK
-_COPY = 1 << 20
+_FEW_BYTES = 1 << 16
 _MARK = 0x80
 _WAVE_FORMATS = (9, 10)
-_COMPRESSED = 0x80
-"""Bit of the point format in the header of a LAZ file."""
 
 
 def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
@@ -82,15 +76,26 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
 def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path) -> dict[str, Any]:
     """Write a cloud on this machine; the record of `write_classified`."""
     partial, compressed = partial_path(out), out.suffix.lower() == ".laz"
+    form = newer_header(header) if work.copc else header
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        block_bytes = (
-            _COPY >> 4 if work.ranges else _COPY << 2
-        )  # of a part, little but the header is asked for
+        # Of a part, little but the header is asked for.
+        block_bytes = _FEW_BYTES if work.ranges else BLOCK_BYTES
         with open_cloud(header.path, block_bytes) as source, open(partial, "w+b") as target:
-            notes = _write_front(header, source, target, compressed)
-            record = _write_points(header, target, store, work, compressed)
-            _write_back(header, source, target)
+            if work.copc:
+                notes = write_copc_front(header, source, target, store.meta.frame.crs_wkt)
+                with CopcWriter(target, form, str(out.parent)) as copc:
+                    record, statistics = _write_points(header, form, copc, store, work)
+                    copc.close()
+                write_copc_back(header, store.meta.frame.crs_wkt, source, target, copc, statistics)
+            else:
+                notes = write_front(header, source, target, compressed)
+                writer = PointWriter(target, header) if compressed else PlainWriter(target)
+                record, statistics = _write_points(header, form, writer, store, work)
+                writer.close()
+                if work.ranges:
+                    patch_window(target, statistics)
+                write_back(header, source, target)
             target.flush()
             os.fsync(target.fileno())
         refuse_changed(header.path, header.state)
@@ -106,81 +111,30 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
             f"{record['refused']} points keep their class: format {header.point_format} has classes 0 to 31"
         )
     return {
-        "points": record["points"],
+        "points": statistics.points,
         "changed": record["changed"],
         "classes": record["classes"],
-        "statistics": record["statistics"],
+        "statistics": statistics.to_json(),
         "bytes": out.stat().st_size,
         "digest": digest,
         "notes": notes,
     }
 
 
-def _kept(records: Sequence[VariableRecord]) -> list[VariableRecord]:
-    return [r for r in records if not r.is_copc]
-
-
-def _write_front(header: LasHeader, source: BinaryIO, target: BinaryIO, compressed: bool) -> list[str]:
-    """Header, VLRs and whatever lies between them and the points; returns notes."""
-    form = "LAZ" if compressed else "LAS"
-    notes = (
-        [f"COPC written as plain {form}, without its octree"] if any(v.is_copc for v in header.vlrs) else []
-    )
-    _copy(source, target, 0, header.header_size)
-    written = 0
-    laszip_done = not compressed
-    for vlr in _kept(header.vlrs):
-        if vlr.is_laszip:
-            if laszip_done:
-                continue
-            target.write(laszip_vlr(header))
-            laszip_done = True
-        else:
-            _copy(source, target, vlr.start, vlr.end)
-        written += 1
-    if not laszip_done:
-        target.write(laszip_vlr(header))
-        written += 1
-    _copy(source, target, header.vlrs[-1].end if header.vlrs else header.header_size, header.points_offset)
-    points = target.tell()
-    _patch(target, 94, "<HII", header.header_size, points, written)
-    _patch(target, 104, "<B", header.point_format | (_COMPRESSED if compressed else 0))
-    _patch_counts(header, target)
-    target.seek(points)
-    return notes
-
-
-def _patch(target: BinaryIO, position: int, form: str, *values: float) -> None:
-    target.seek(position)
-    target.write(struct.pack(form, *values))
-
-
-def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
-    """The number of points, where the header's was not what could be read (salvaged files)."""
-    target.seek(107)
-    (legacy,) = struct.unpack("<I", target.read(4))
-    if header.version[1] < 4:
-        if legacy != header.point_count:
-            _patch(target, 107, "<I", header.point_count)
-        return
-    target.seek(247)
-    (count,) = struct.unpack("<Q", target.read(8))
-    if count not in (header.point_count, 0) or (count == 0 and legacy != header.point_count):
-        _patch(target, 247, "<Q", header.point_count)
-        _patch(target, 107, "<I", header.point_count if legacy else 0)
-
-
 def _write_points(
-    header: LasHeader, target: BinaryIO, store: TileStore, work: WriteClassified, compressed: bool
-) -> dict[str, Any]:
-    """All records in their order with their new classes."""
+    header: LasHeader,
+    form: LasHeader,
+    writer: PointWriter | PlainWriter | CopcWriter,
+    store: TileStore,
+    work: WriteClassified,
+) -> tuple[dict[str, Any], CloudStatistics]:
+    """All records in their order with their new classes, in the form of another header."""
     classes = np.zeros(256, dtype=np.int64)
     changed = refused = 0
     channels: set[int] = set()
-    statistics = CloudStatistics(header)
-    highest = LEGACY_CLASS_MASK if is_legacy(header.point_format) else 255
-    step = rows_at_once(header.record_length, _STEP)
-    writer = PointWriter(target, header) if compressed else PlainWriter(target)
+    statistics = CloudStatistics(form)
+    highest = LEGACY_CLASS_MASK if is_legacy(form.point_format) else 255
+    step = rows_at_once(max(header.record_length, form.record_length), _STEP)
     spans = work.ranges or [
         (first, min(ROWS_AT_ONCE, header.point_count - first))
         for first in range(0, header.point_count, ROWS_AT_ONCE)
@@ -193,45 +147,29 @@ def _write_points(
             for start in range(first, last, step):
                 stop = min(start + step, last)
                 records = reader.read(start, stop - start)
-                channels |= _channels(header, records)
-                if compressed and len(channels) > 1:
+                if isinstance(writer, PointWriter):
+                    channels |= _channels(header, records)
+                if len(channels) > 1:
                     raise ProcessingError(
                         f"{header.path}: wave packets of scanner channels {sorted(channels)} in one LAZ file "
                         "would be damaged by the compressor; split the file by channel"
                     )
-                before = class_and_flags(records, header.point_format)[0]
+                records = as_newer(records, header.point_format) if work.copc else records
+                before = class_and_flags(records, form.point_format)[0]
                 new = found[start - first : stop - first]
                 if wanted is not None:
                     inside = wanted[start - first : stop - first]
                     records, before, new = records[inside], before[inside], new[inside]
                 refused += int(np.count_nonzero(new > highest))
                 chosen = (new != 0) & (new <= highest) & (new != before)
-                write_classes(records, header.point_format, new, chosen)
+                write_classes(records, form.point_format, new, chosen)
                 changed += int(np.count_nonzero(chosen))
                 classes += np.bincount(np.where(chosen, new, before), minlength=256)
                 statistics.add(records)
                 writer.write(records)
-    writer.close()
-    if work.ranges:
-        _patch_window(header, target, statistics)
     histogram = {str(c): int(n) for c, n in enumerate(classes.tolist()) if n}
-    return {
-        "points": statistics.points,
-        "changed": changed,
-        "refused": refused,
-        "classes": histogram,
-        "statistics": statistics.to_json(),
-    }
-
-
-def _patch_window(header: LasHeader, target: BinaryIO, statistics: CloudStatistics) -> None:
-    """Counts and bounds of a cloud that holds a part of its source: LAS 1.4, as COPC is."""
-    fields = statistics.to_json()["fields"]
-    ends = [fields[axis][end] if fields else 0.0 for axis in "XYZ" for end in ("maximum", "minimum")]
-    _patch(target, 107, "<6I", *[0] * 6)
-    _patch(target, 179, "<6d", *ends)
-    _patch(target, 247, "<16Q", statistics.points, *statistics.by_return)
-    target.seek(0, os.SEEK_END)
+    record = {"changed": changed, "refused": refused, "classes": histogram}
+    return record, statistics
 
 
 def _channels(header: LasHeader, records: Records) -> set[int]:
@@ -292,36 +230,3 @@ def _corrected(
         return labels
     points = store.read_bucket(cell, ("xyz", "classification", "flags"))
     return found.labels(points, labels, store.meta.frame.origin)
-
-
-def _write_back(header: LasHeader, source: BinaryIO, target: BinaryIO) -> None:
-    """EVLRs, or the waveform packets of LAS 1.3, and the positions of both."""
-    target.seek(0, os.SEEK_END)
-    if header.version[1] >= 4:
-        kept = _kept(header.evlrs)
-        begin = target.tell()
-        waveform = 0
-        for record in kept:
-            if record.start == header.waveform_start:
-                waveform = target.tell()
-            _copy(source, target, record.start, record.end)
-        _patch(target, 235, "<QI", begin if kept else 0, len(kept))
-        if header.waveform_start:
-            _patch(target, 227, "<Q", waveform)
-    elif header.version[1] == 3 and header.points_offset < header.waveform_start < header.size:
-        begin = target.tell()
-        _copy(source, target, header.waveform_start, header.size)
-        _patch(target, 227, "<Q", begin)
-    target.seek(0, os.SEEK_END)
-
-
-def _copy(source: BinaryIO, target: BinaryIO, start: int, stop: int) -> None:
-    """Bytes ``start`` to ``stop`` of the source, in bounded pieces."""
-    source.seek(start)
-    left = stop - start
-    while left > 0:
-        part = source.read(min(left, _COPY))
-        if not part:
-            raise OSError(f"the source ends at byte {stop - left}")
-        target.write(part)
-        left -= len(part)

@@ -239,6 +239,8 @@ class WriteClassified:
     ranges : tuple of (int, int)
         First record and number of those that are looked at, whole chunks; of them only points inside the area are
         written. Empty: all points of the source are.
+    copc : bool
+        As COPC; else LAZ or LAS, by the name of ``out``.
     """
 
     path: str
@@ -251,6 +253,7 @@ class WriteClassified:
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
     ranges: tuple[tuple[int, int], ...] = ()
+    copc: bool = False
 
     def place(self, buckets: Lattice) -> Bounds | None:
         """Bounds of the buckets."""

@@ -30,6 +30,9 @@ LEGEND = ".aux.xml"
 """What follows the name of a raster of classes in that of the file with their names, where GDAL looks for it."""
 
 CLASSIFIED = "classified"
+COPC_SUFFIX = ".copc.laz"
+CLOUD_SUFFIXES = {"laz": ".laz", "las": ".las", "copc": COPC_SUFFIX, "none": ".laz"}
+"""How names of classified clouds end, by what `--classified` says."""
 """Folder of the classified clouds."""
 VIRTUAL = "classified.vpc"
 """These clouds as one, for QGIS."""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
+from tiler.io.las.newer_formats import newer_bytes
 from tiler.plan.model import Plan
 
 SPOOL_BYTES, COLUMN_BYTES = 12, 12
@@ -21,7 +22,7 @@ EMPTY_PIXEL_BYTES = 0.03
 DRAWN_PIXEL_BYTES = 5
 """Per pixel that contours are drawn of; measured on a terrain model, 90 levels, heights not smoothed."""
 COPIES = 2
-"""Copies of a raster while its COG is made: the plain one, and what GDAL writes."""
+"""Copies of a raster while its COG is made: the plain one, and what GDAL writes. Of records that become COPC too."""
 CLASSIFIED_SHARE = 1.2
 """Bytes of a classified file over those of its LAZ input; LAS inputs shrink."""
 MOST_PIXELS = 2e10
@@ -57,7 +58,7 @@ def pixels_of(plan: Plan) -> Pixels:
 
 
 def projected_disk(plan: Plan) -> dict[str, int]:
-    """Bytes of ``store``, ``rasters``, ``drawn`` products, ``classified`` clouds, and ``scratch`` of the largest COG.
+    """Bytes of ``store``, ``rasters``, ``drawn`` products, ``classified`` clouds, and ``scratch`` on the way to these.
 
     Rasters are reckoned as if every pixel of a block near points held a value.
     """
@@ -68,6 +69,7 @@ def projected_disk(plan: Plan) -> dict[str, int]:
     workers = min(plan.workers, len(names)) if plan.config.sheets is None else plan.workers
     largest = sum(sorted(sizes)[-workers:]) if plan.config.sheets is None else workers * max(sizes)
     held = min(pixels.filled, pixels.largest)
+    raster_scratch = held * largest + (pixels.largest - held) * EMPTY_PIXEL_BYTES * workers
     return {
         "store": int(
             plan.points * (SPOOL_BYTES + COLUMN_BYTES + 0.3 * labels)
@@ -80,8 +82,16 @@ def projected_disk(plan: Plan) -> dict[str, int]:
         else sum(s.points * s.record_length for s in plan.sources)
         if plan.config.classified == "las"
         else int(CLASSIFIED_SHARE * sum(s.size for s in plan.sources)),
-        "scratch": int(COPIES * (held * largest + (pixels.largest - held) * EMPTY_PIXEL_BYTES * workers)),
+        "scratch": int(COPIES * (raster_scratch + _copc_scratch(plan))),
     }
+
+
+def _copc_scratch(plan: Plan) -> int:
+    """Bytes of the records of the largest clouds that become COPC at the same time."""
+    if not plan.writes_clouds or plan.config.classified != "copc":
+        return 0
+    sizes = sorted(s.points * newer_bytes(s.point_format, s.record_length) for s in plan.sources)
+    return sum(sizes[-plan.workers :])
 
 
 def needed_bytes(plan: Plan) -> int:

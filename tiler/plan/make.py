@@ -20,6 +20,7 @@ from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded, is_virtual
 from tiler.io.locations import cloud_path, is_url
+from tiler.io.result_folder import CLOUD_SUFFIXES, COPC_SUFFIX
 from tiler.plan import advice, machine, sizes
 from tiler.plan.area import area_of, part_of
 from tiler.plan.density_map import DensityMap
@@ -152,7 +153,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
         config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
         workers, cell, points, covered, extent, density_map, None,
-        output_names(found.inputs, found.sources, las=config.classified == "las"), tuple(notes), tuple(warnings),
+        output_names(found.inputs, found.sources, CLOUD_SUFFIXES[config.classified]), tuple(notes), tuple(warnings),
         known, tile_workers=0 if config.tile_size else workers,
     )  # fmt: skip
     plan = part_of(plan)
@@ -160,7 +161,9 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     return plan if text is None else replace(plan, warnings=(*plan.warnings, text))
 
 
-def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo], las: bool = False) -> dict[Path, Path]:
+def output_names(
+    inputs: Sequence[str], sources: Iterable[SourceInfo], suffix: str = ".laz"
+) -> dict[Path, Path]:
     """Path of each classified file below OUT/classified; ConfigError where two would be one."""
     # A URL names what is below it, or one object: then nothing is left of the name below it.
     named = [(cloud_path(i), is_virtual(i) and not Path(i).is_dir()) for i in inputs]
@@ -172,8 +175,8 @@ def output_names(inputs: Sequence[str], sources: Iterable[SourceInfo], las: bool
         below = [Path(str(source.path.relative_to(f))) for f in same if source.path.is_relative_to(f)]
         name = below[0] if below else Path(source.path.name)
         stem = name.name[: -len(name.suffix)]
-        stem = stem.removesuffix(".copc") if source.copc else stem
-        name = name.with_name(f"{stem}.{'las' if las else 'laz'}")
+        stem = stem.removesuffix(".copc") if source.copc or suffix == COPC_SUFFIX else stem
+        name = name.with_name(f"{stem}{suffix}")
         if str(name).lower() in taken:
             raise ConfigError(
                 f"{source.path} and {taken[str(name).lower()]} would both become classified/{name}; "

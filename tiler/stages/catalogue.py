@@ -19,10 +19,12 @@ from tiler.core.products import HEIGHT, PRODUCTS
 from tiler.core.raster import RasterSpec
 from tiler.core.units import unit_label
 from tiler.export import WriteText, stac, write_text
+from tiler.io.las.newer_formats import newer_format
 from tiler.io.locations import joined
 from tiler.io.result_folder import (
     BRIDGES,
     CLASSIFIED,
+    CLOUD_SUFFIXES,
     OUTLINE,
     REPORT,
     SHEET_ITEMS,
@@ -48,7 +50,11 @@ _OF_RASTERS = [f"{_SCHEMAS}/projection/v2.0.0/schema.json", f"{_SCHEMAS}/raster/
 _COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 _GPKG = "application/geopackage+sqlite3"
 _VRT, _JSON = "application/xml", "application/json"
-_CLOUDS = {"laz": ("application/vnd.laszip", "LASzip"), "las": ("application/vnd.las", "LAS")}
+_CLOUDS = {
+    "laz": ("application/vnd.laszip", "LASzip"),
+    "las": ("application/vnd.las", "LAS"),
+    "copc": ("application/vnd.laszip+copc", "LASzip"),
+}
 """Media type and encoding of classified clouds, by what `--classified` says."""
 
 
@@ -112,6 +118,7 @@ class _Catalogue:
         self._globe = stac.Globe(self._plan.meta.frame.crs_wkt)
         self._type = "eopc" if kind == "dim" else "lidar"
         self._sources = sources
+        self._suffix = CLOUD_SUFFIXES[self._plan.config.classified]
         self._media, self._encoding = _CLOUDS.get(self._plan.config.classified, ("", ""))
         self.clouds = [
             Cloud(f"{CLASSIFIED}/{self._plan.names[s.info.path].as_posix()}", s, written[key][1])
@@ -134,12 +141,11 @@ class _Catalogue:
 
     def _virtual(self, cloud: Cloud) -> dict[str, Any]:
         """A classified cloud as a feature of the virtual one."""
-        wkt, info, fields = (
+        wkt, fields = (
             self._plan.meta.frame.crs_wkt,
-            cloud.source.info,
             cloud.record["statistics"]["fields"],
         )
-        schema = stac.schema([info.point_format])
+        schema = stac.schema([self._format(cloud)])
         names = [entry["name"] for entry in schema]
         low, high = ([fields[axis][end] for axis in "XYZ"] for end in ("minimum", "maximum"))
         low, high = ([round(v, _DIGITS) for v in place] for place in (low, high))
@@ -148,7 +154,7 @@ class _Catalogue:
         west, south, east, north = self._globe.bbox(box) or box
         return {
             "type": "Feature", "stac_version": "1.0.0", "stac_extensions": _OF_VIRTUAL,
-            "id": str(PurePosixPath(cloud.path).relative_to(CLASSIFIED).with_suffix("")),
+            "id": str(PurePosixPath(cloud.path).relative_to(CLASSIFIED)).removesuffix(self._suffix),
             "geometry": self._globe.polygon(box) or native, "bbox": [west, south, low[2], east, north, high[2]],
             "properties": {
                 **stac.dates([cloud.dates]), "pc:count": cloud.record["points"], "pc:type": self._type,
@@ -160,6 +166,11 @@ class _Catalogue:
             "assets": {"data": {"href": f"./{cloud.path}", "type": self._media, "roles": ["data"]}},
         }  # fmt: skip
 
+    def _format(self, cloud: Cloud) -> int:
+        """The point format of a classified cloud."""
+        own = cloud.source.info.point_format
+        return newer_format(own) if self._plan.config.classified == "copc" else own
+
     def _whole(self) -> dict[str, Any]:
         """The item of a run that is not cut into sheets."""
         rasters = {name: f"{name}.tif" for name in self._plan.config.exported}
@@ -170,7 +181,7 @@ class _Catalogue:
             item["properties"] |= {
                 "pc:count": sum(cloud.record["points"] for cloud in self.clouds), "pc:type": self._type,
                 "pc:encoding": self._encoding,
-                "pc:schemas": stac.schema(c.source.info.point_format for c in self.clouds),
+                "pc:schemas": stac.schema(self._format(c) for c in self.clouds),
             }  # fmt: skip
         return item
 
@@ -275,7 +286,7 @@ class _Catalogue:
                 "title": "classified clouds as one",
             }  # fmt: skip
         for cloud in self.clouds:
-            found[cloud.path.removesuffix(f".{self._plan.config.classified}")] = {
+            found[cloud.path.removesuffix(self._suffix)] = {
                 "href": f"./{quote(cloud.path)}", "type": self._media, "roles": ["data"],
                 "title": "points with their classes", "pc:count": cloud.record["points"],
             }  # fmt: skip

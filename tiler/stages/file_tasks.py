@@ -255,6 +255,7 @@ def classified_tasks(
             area=None if whole else area_key(plan),
             stamp=source.info.stamp,
             ranges=_window(plan, source.info),
+            copc=plan.config.classified == "copc",
         )
         digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells], "statistics")
         points = sum(count for _, count in work.ranges) or source.info.points

@@ -57,6 +57,14 @@ class VariableRecord:
         return self.user_id == COPC_USER
 
 
+def packed_record(
+    user_id: str, record_id: int, description: str, payload: bytes, extended: bool = False
+) -> bytes:
+    """A whole VLR, or EVLR, as bytes."""
+    form = _EVLR if extended else _VLR
+    return form.pack(0, user_id.encode(), record_id, len(payload), description.encode()) + payload
+
+
 def walk_records(
     stream: BinaryIO, start: int, count: int, end: int, extended: bool
 ) -> tuple[tuple[VariableRecord, ...], bool]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from typing import Any, BinaryIO
 
 import lazrs
@@ -10,20 +9,19 @@ import numpy as np
 
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import Records
-from tiler.io.las.records import LASZIP_RECORD, LASZIP_USER
-
-_VLR = struct.Struct("<H16sHH32s")
+from tiler.io.las.records import LASZIP_RECORD, LASZIP_USER, packed_record
 
 
-def laszip_vlr(header: LasHeader) -> bytes:
-    """The whole laszip record for points like those of ``header``."""
-    data = bytes(_layout(header).record_data())
-    return _VLR.pack(0, LASZIP_USER.encode(), LASZIP_RECORD, len(data), b"lazrs") + data
+def laszip_vlr(header: LasHeader, own_sizes: bool = False) -> bytes:
+    """The whole laszip record for points like those of ``header``, in equal chunks or in some of ``own_sizes``."""
+    data = bytes(layout_of(header, own_sizes).record_data())
+    return packed_record(LASZIP_USER, LASZIP_RECORD, "lazrs", data)
 
 
-def _layout(header: LasHeader) -> Any:
+def layout_of(header: LasHeader, own_sizes: bool = False) -> Any:
+    """How lazrs compresses points like those of ``header``, in equal chunks or in some of ``own_sizes``."""
     bare = lazrs.LazVlr.new_for_compression(header.point_format, 0).item_size()
-    return lazrs.LazVlr.new_for_compression(header.point_format, header.record_length - bare)
+    return lazrs.LazVlr.new_for_compression(header.point_format, header.record_length - bare, own_sizes)
 
 
 class PointWriter:
@@ -38,7 +36,7 @@ class PointWriter:
     """
 
     def __init__(self, target: BinaryIO, header: LasHeader) -> None:
-        self._compressor = lazrs.LasZipCompressor(target, _layout(header))
+        self._compressor = lazrs.LasZipCompressor(target, layout_of(header))
 
     def write(self, records: Records) -> None:
         """Append records; raises OSError where the target does not take them."""

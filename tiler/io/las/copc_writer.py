@@ -1,0 +1,207 @@
+"""Clouds as COPC 1.0: LAZ whose chunks are the nodes of an octree (https://copc.io)."""
+
+from __future__ import annotations
+
+import struct
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from tempfile import TemporaryFile
+from types import TracebackType
+from typing import BinaryIO
+
+import lazrs
+import numpy as np
+import numpy.typing as npt
+
+from tiler.io.las.bricks import CELLS_OF_NODE, DEPTH, Key, Levels, Places, bricks, curve, runs
+from tiler.io.las.headers import LasHeader
+from tiler.io.las.reader import Records, rows_at_once
+from tiler.io.las.records import COPC_USER, packed_record
+from tiler.io.las.writer import layout_of
+
+HEADER_BYTES = 375
+INFO_BYTES = 54 + 160
+"""Of the info record, the first behind the header."""
+BRICK_POINTS = 1 << 19
+"""Points whose nodes are found at once."""
+
+_INFO_RECORD, _HIERARCHY_RECORD = 1, 1000
+_INFO = struct.Struct("<5dQQdd88x")
+_ENTRY = struct.Struct("<iiiiQii")
+_AXES = ("X", "Y", "Z")
+
+
+@dataclass(frozen=True)
+class Cube:
+    """The cube of an octree: its lowest corner and its side in counts of each axis, its centre and half a side."""
+
+    corner: tuple[int, ...]
+    sides: tuple[float, ...]
+    centre: tuple[float, ...]
+    half: float
+
+    def places(self, records: Records) -> Places:
+        """Where records lie in it."""
+        found = np.empty((3, len(records)), dtype=np.int32)
+        for axis, (name, low, side) in enumerate(zip(_AXES, self.corner, self.sides, strict=True)):
+            raised = (records[name].astype(np.int64) - low) * (2**DEPTH / side)
+            found[axis] = np.clip(raised, 0, 2**DEPTH - 1)
+        return found
+
+
+class CopcWriter:
+    """Writes records of format 6, 7 or 8 behind a header that somebody else writes; `close` makes the octree.
+
+    A context manager.
+
+    Parameters
+    ----------
+    target : BinaryIO
+        Stands where the points begin.
+    header : LasHeader
+        Of the records.
+    folder : str
+        For temporary files, of twice the size of all records.
+    """
+
+    def __init__(self, target: BinaryIO, header: LasHeader, folder: str) -> None:
+        self._target, self._header, self._folder = target, header, folder
+        self._begin = target.tell()
+        self._step = rows_at_once(header.record_length, BRICK_POINTS)
+        self._spool = TemporaryFile(dir=folder)  # noqa: SIM115 - closed at the end of the context
+        self._dtype: np.dtype[np.void] | None = None
+        self._points = 0
+        self._low, self._high = [2**31] * 3, [-(2**31)] * 3
+        self._times = [np.inf, -np.inf]
+        self._entries: list[tuple[Key, int]] = []
+        self.hierarchy_start = 0
+
+    def __enter__(self) -> CopcWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._spool.close()
+
+    def write(self, records: Records) -> None:
+        """Append records."""
+        if not len(records):
+            return
+        self._dtype = records.dtype
+        records.tofile(self._spool)
+        self._points += len(records)
+        for axis, name in enumerate(_AXES):
+            self._low[axis] = min(self._low[axis], int(records[name].min()))
+            self._high[axis] = max(self._high[axis], int(records[name].max()))
+        times = records["gps_time"][np.isfinite(records["gps_time"])]
+        if times.size:
+            low, high = self._times
+            self._times = [min(low, float(times.min())), max(high, float(times.max()))]
+
+    def close(self) -> None:
+        """Write points, table of chunks and hierarchy, and the info record before them; raises OSError."""
+        layout = layout_of(self._header, own_sizes=True)
+        cube = self._cube()
+        try:
+            compressor = lazrs.LasZipCompressor(self._target, layout)
+            for key, records in self._nodes(cube):
+                if self._entries:
+                    compressor.finish_current_chunk()
+                compressor.compress_many(np.ascontiguousarray(records).view(np.uint8))
+                self._entries.append((key, len(records)))
+            compressor.done()
+            self._target.flush()
+            self._target.seek(self._begin)
+            table = lazrs.read_chunk_table(self._target, layout)
+        except lazrs.LazrsError as error:
+            raise OSError(str(error)) from error
+        self._write_hierarchy(cube, table)
+
+    def _write_hierarchy(self, cube: Cube, table: list[tuple[int, int]]) -> None:
+        place, entries = self._begin + 8, b""
+        for (key, points), (_, size) in zip(self._entries, table, strict=False):  # of no points one chunk
+            entries += _ENTRY.pack(*key, place, size, points)
+            place += size
+        self._target.seek(0, 2)
+        record = packed_record(COPC_USER, _HIERARCHY_RECORD, "EPT hierarchy", entries, extended=True)
+        self.hierarchy_start = self._target.tell()
+        page = self.hierarchy_start + len(record) - len(entries)
+        self._target.write(record)
+        times = self._times if self._times[0] <= self._times[1] else [0.0, 0.0]
+        info = _INFO.pack(
+            *cube.centre, cube.half, 2 * cube.half / 2**CELLS_OF_NODE, page, len(entries), *times
+        )
+        self._target.seek(HEADER_BYTES)
+        self._target.write(packed_record(COPC_USER, _INFO_RECORD, "COPC info VLR", info))
+        self._target.seek(0, 2)
+
+    def _cube(self) -> Cube:
+        """The cube around all points, one count wider so that none lies on its far side."""
+        scales, offsets = self._header.scales, self._header.offsets
+        low, high = (self._low, self._high) if self._points else ([0] * 3, [0] * 3)
+        side = max((b - a + 1) * scale for a, b, scale in zip(low, high, scales, strict=True))
+        corner = [a * scale + offset for a, scale, offset in zip(low, scales, offsets, strict=True)]
+        return Cube(
+            tuple(low),
+            tuple(side / scale for scale in scales),
+            tuple(c + side / 2 for c in corner),
+            side / 2,
+        )
+
+    def _pieces(self) -> Iterator[Records]:
+        """All records again, in their order; what was read is given back to the disk at the end."""
+        self._spool.seek(0)
+        with self._spool:
+            while raw := self._spool.read(self._step * self._header.record_length):
+                yield np.frombuffer(raw, dtype=self._dtype)
+
+    def _nodes(self, cube: Cube) -> Iterator[tuple[Key, Records]]:
+        """Nodes and their points, by the time of the pulse; children come before their parents."""
+        levels = Levels()
+        above: dict[Key, list[Records]] = defaultdict(list)
+        if not self._points:
+            return
+        for brick, found in bricks(self._pieces(), self._points, self._step, cube.places, self._folder):
+            done = sorted((key for key in above if not _holds(key, brick)), reverse=True)
+            yield from ((key, _by_time(np.concatenate(above.pop(key)))) for key in done)
+            records = _by_time(found)
+            places = cube.places(records)
+            level_of = levels.of_brick(brick, places)
+            for key, rows in _of_levels(places, level_of, brick):
+                if key[0] < brick[0]:
+                    above[key].append(records[rows])
+                else:
+                    yield key, records[rows]
+        yield from ((key, _by_time(np.concatenate(above[key]))) for key in sorted(above, reverse=True))
+
+
+def _of_levels(
+    places: Places, level_of: npt.NDArray[np.int8], brick: Key
+) -> list[tuple[Key, npt.NDArray[np.int64]]]:
+    """Nodes and the rows of their points, ascending; nodes near one another follow one another."""
+    found: list[tuple[Key, npt.NDArray[np.int64]]] = []
+    for level in np.unique(level_of).tolist():
+        rows = np.flatnonzero(level_of == level)
+        corners = places[:, rows] >> DEPTH - level
+        number = (corners[0].astype(np.int64) << 42) | (corners[1].astype(np.int64) << 21) | corners[2]
+        order = np.argsort(number, kind="stable")
+        starts = runs(number[order])[0]
+        keys = corners[:, order[starts]].T.tolist()
+        parts = np.split(rows[order], starts[1:])
+        found += [((level, *key), part) for key, part in zip(keys, parts, strict=True)]
+    corners = np.array([[v << DEPTH - key[0] for v in key[1:]] for key, _ in found], dtype=np.int32).T
+    along = curve(corners, brick[0]).tolist()
+    return [found[i] for i in sorted(range(len(found)), key=lambda i: (along[i], found[i][0][0]))]
+
+
+def _holds(key: Key, brick: Key) -> bool:
+    """Whether a brick lies in the cube of a node."""
+    down = brick[0] - key[0]
+    return down >= 0 and all(b >> down == k for b, k in zip(brick[1:], key[1:], strict=True))
+
+
+def _by_time(records: Records) -> Records:
+    """Records by the time of their pulse, which compresses better than any other order."""
+    return records[np.argsort(records["gps_time"], kind="stable")]
