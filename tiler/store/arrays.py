@@ -95,7 +95,7 @@ def replace_metadata(
 
 def _metadata(shape: tuple[int, ...], kind: ArrayKind, attributes: dict[str, Any]) -> dict[str, Any]:
     """What zarr writes about an array, made in memory: with its checksum it reaches the store in one piece."""
-    blosc = BloscCodec(typesize=kind.shuffled, cname="zstd", clevel=kind.level, shuffle="shuffle")
+    blosc = BloscCodec(typesize=kind.shuffled, cname=kind.codec, clevel=kind.level, shuffle="shuffle")
     written: dict[str, Buffer] = {}
     zarr.create_array(
         MemoryStore(written), shape=shape, chunks=kind.chunks, dtype=kind.dtype, fill_value=kind.fill,

@@ -22,7 +22,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -58,8 +58,10 @@ class ArrayKind:
         there is there, so that a missing one is an error and no silent zeros.
     item : int
         Bytes that the shuffle treats as one item; 0: those of the dtype.
+    codec : str
+        Of blosc: points, labels and spool are read often and by many, so that its time counts more than its bytes.
     level : int
-        Level of zstd.
+        Of the codec.
     """
 
     dtype: str
@@ -67,7 +69,8 @@ class ArrayKind:
     fill: float = 0
     sparse: bool = False
     item: int = 0
-    level: int = 3
+    codec: Literal["lz4", "zstd"] = "lz4"
+    level: int = 5
 
     @property
     def chunk_bytes(self) -> int:
@@ -126,7 +129,7 @@ def columns(has_rgb: bool) -> tuple[Column, ...]:
 
 def raster_kind(fill: float) -> ArrayKind:
     """Rasters: chunks of one block; a block that holds no data is not stored."""
-    return ArrayKind("float32", (BLOCK_PIXELS, BLOCK_PIXELS), fill, sparse=True)
+    return ArrayKind("float32", (BLOCK_PIXELS, BLOCK_PIXELS), fill, sparse=True, codec="zstd", level=3)
 
 
 def record_type(has_rgb: bool) -> np.dtype[np.void]:
@@ -140,7 +143,7 @@ def record_type(has_rgb: bool) -> np.dtype[np.void]:
 def spool_kind(has_rgb: bool) -> ArrayKind:
     """Pieces of the spool: bytes of whole records, shuffled as such."""
     size = record_type(has_rgb).itemsize
-    return ArrayKind("uint8", (SPOOL_CHUNK, size), item=size, level=1)  # written and read once
+    return ArrayKind("uint8", (SPOOL_CHUNK, size), item=size)
 
 
 def points_path(column: str) -> str:

@@ -111,7 +111,7 @@ def lengthen_rows(storage: Storage, path: str, kind: ArrayKind, rows: int) -> No
 
 def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
     items = np.ascontiguousarray(values, kind.dtype).reshape(-1).view(f"V{kind.shuffled}")
-    body: bytes = numcodecs.blosc.compress(items, b"zstd", kind.level, numcodecs.blosc.SHUFFLE)
+    body: bytes = numcodecs.blosc.compress(items, kind.codec.encode(), kind.level, numcodecs.blosc.SHUFFLE)
     checksum: int = google_crc32c.value(body)
     return body + checksum.to_bytes(_CHECKSUM_BYTES, "little")
 
