@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from tiler.core.lattice import Bounds
+
+Index: TypeAlias = "npt.NDArray[np.intp] | npt.NDArray[np.bool_] | slice"
 
 
 @dataclass(frozen=True)
@@ -45,17 +47,14 @@ class PointBlock:
     def __len__(self) -> int:
         return int(self.xyz.shape[1])
 
-    def take(self, index: npt.NDArray[np.intp] | npt.NDArray[np.bool_] | slice) -> PointBlock:
+    def take(self, index: Index) -> PointBlock:
         """The points of ``index`` (indices, a mask or a slice), in that order."""
-        mask: Any = index if isinstance(index, np.ndarray) and index.dtype == np.bool_ else None
-        if mask is not None and mask.all():
+        if not isinstance(index, slice) and index.dtype == np.bool_ and index.all():
             return self
         taken: dict[str, Any] = {}
         for name in (f.name for f in fields(PointBlock)):
             column = getattr(self, name)
-            if column is not None:  # compressed three times as fast as by a mask in brackets
-                column = column[..., index] if mask is None else np.compress(mask, column, axis=-1)
-            taken[name] = column
+            taken[name] = None if column is None else _take(column, index)
         return PointBlock(**taken)
 
     def inside(self, bounds: Bounds, origin: tuple[int, int]) -> npt.NDArray[np.bool_]:
@@ -75,6 +74,15 @@ class PointBlock:
             columns = [getattr(b, name) for b in blocks]
             joined[name] = None if any(c is None for c in columns) else np.concatenate(columns, axis=-1)
         return PointBlock(**joined)
+
+
+def _take(column: npt.NDArray[Any], index: Index) -> npt.NDArray[Any]:
+    """``column[..., index]``; numpy takes along the last axis three times faster than it indexes with an ellipsis."""
+    if isinstance(index, slice):
+        return column[..., index]
+    if index.dtype == np.bool_:
+        return np.compress(index.astype(np.bool_, copy=False), column, axis=-1)
+    return np.take(column, index, axis=-1)
 
 
 SOURCE_SHIFT = 40

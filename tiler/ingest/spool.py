@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,11 +21,14 @@ from tiler.io.las.reader import NEEDED, PointReader, Records
 from tiler.io.las.unchanged import unchanged
 from tiler.io.locations import cloud_path
 from tiler.schedule.task import NOT_IN_DIGEST
-from tiler.store import open_store
+from tiler.store import StoreMeta, open_store
 
 NOT_FINITE = "not finite"
 BEYOND_FRAME = "beyond the frame"
 OUTSIDE_AREA = "outside the area"
+
+STEP = 1 << 16
+"""Records that are decoded and converted at a time."""
 
 _RADIX_KEYS = 1 << 16
 
@@ -97,11 +101,13 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
         PointReader(header, NEEDED, ranges=work.ranges) as reader,
     ):
         ranges = work.ranges or ((work.start, work.count),)
-        records = np.concatenate([reader.read(start, count) for start, count in ranges])
-    rows = np.concatenate([np.arange(start, start + count, dtype=np.int64) for start, count in ranges])
-    local, keep, dropped, rounding = place(records, header, frame)
-    block = columns(records, header, local, work.source, rows, store.meta.has_rgb).take(keep)
-    outside = () if work.extent is None else ~block.inside(work.extent, frame.origin)
+        read = [
+            _read_step(store.meta, reader, work, first, min(STEP, start + count - first))
+            for start, count in ranges
+            for first in range(start, start + count, STEP)
+        ]
+    dropped = sum((Counter(step.dropped) for step in read), Counter[str]())
+    block = PointBlock.concatenate([step.block for step in read])
     order, index = sort_by_bucket(block.xyz, frame, lattice)
     order, index, left = _of_buckets(order, index, work.wanted)
     if left:
@@ -110,17 +116,39 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     if len(block):
         store.write_piece(work.piece, block, index)
     return {
-        "read": len(records),
+        "read": sum(count for _, count in ranges),
         "stored": len(block),
-        "outside": int(np.count_nonzero(outside)),
-        "dropped": dropped,
-        "largest_rounding": rounding,
+        "outside": sum(step.outside for step in read),
+        "dropped": dict(dropped),
+        "largest_rounding": max(step.rounding for step in read),
         "buckets": [list(entry) for entry in index],
         "left": [list(entry) for entry in left],
         "identity": work.identity,
         "fetched": fetched_bytes() - before,
         **extent(block, frame),
     }
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Some records of a piece: the points that can be kept, and what `spool_piece` tells of all."""
+
+    block: PointBlock
+    outside: int
+    dropped: dict[str, int]
+    rounding: float
+
+
+def _read_step(meta: StoreMeta, reader: PointReader, work: SpoolPiece, start: int, count: int) -> _Step:
+    """Decode ``count`` records from ``start`` on: few enough that the processor's cache holds what is made of them."""
+    records = reader.read(start, count)
+    local, keep, dropped, rounding = place(records, reader.header, meta.frame)
+    rows = np.arange(start, start + count, dtype=np.int64)
+    block = columns(records, reader.header, local, work.source, rows, meta.has_rgb)
+    block = block.take(keep)
+    inside = None if work.extent is None else block.inside(work.extent, meta.frame.origin)
+    outside = 0 if inside is None else len(block) - int(np.count_nonzero(inside))
+    return _Step(block, outside, dropped, rounding)
 
 
 def place(

@@ -13,7 +13,7 @@ from tiler.core.raster import BLOCK_PIXELS
 from tiler.io.las.newer_formats import newer_bytes
 from tiler.plan.model import Plan
 
-SPOOL_BYTES, COLUMN_BYTES = 12, 12
+SPOOL_BYTES, COLUMN_BYTES = 13, 14
 """Per point on disk, in the spool, and in its bucket with its label; measured on a city."""
 STORED_PIXEL_BYTES = 2.2
 """Per pixel of the store's rasters, compressed; measured on a terrain model."""

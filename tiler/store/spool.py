@@ -32,25 +32,24 @@ def write_piece(
     """
     if sum(count for _, _, count in index) != len(block):
         raise StoreError(f"piece {piece}: its index does not count its {len(block)} points")
-    records = np.zeros(len(block), dtype=layout.record_type(has_rgb))
-    for name in records.dtype.names or ():
-        column = getattr(block, name)
-        if column is None:
+    record_type = layout.record_type(has_rgb)
+    for name in record_type.names or ():
+        if getattr(block, name) is None:
             raise StoreError(f"piece {piece}: needs a column {name}")
-        records[name] = column.T
     path = layout.spool_path(piece)
     storage.delete_folder(path)
     kind = layout.spool_kind(has_rgb)
     # A piece of no points still has an array, with its index, so that it reads like any other.
-    shape = (len(block), records.dtype.itemsize)
+    shape = (len(block), record_type.itemsize)
     attributes = {"index": [[int(v) for v in run] for run in index]}
     arrays.create_metadata(storage, path, shape, kind, attributes)
     array = RowArray(storage, path, kind, len(block), attributes)
-    raw = records.view(np.uint8).reshape(shape)
     for chunk, start in enumerate(range(0, len(block), SPOOL_CHUNK)):
-        part = raw[start : start + SPOOL_CHUNK]
-        missing = SPOOL_CHUNK - len(part)
-        array.write(chunk, np.pad(part, ((0, missing), (0, 0))) if missing else part)
+        part = block.take(slice(start, start + SPOOL_CHUNK))
+        records = np.zeros(SPOOL_CHUNK, dtype=record_type)
+        for name in record_type.names or ():
+            records[name][: len(part)] = getattr(part, name).T
+        array.write(chunk, records.view(np.uint8).reshape(kind.chunks))
 
 
 def piece_index(storage: Storage, piece: str, has_rgb: bool) -> Index:
