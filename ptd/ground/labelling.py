@@ -14,8 +14,9 @@ from ptd.ground.certificates import UInt8
 from ptd.ground.criteria import Limits, across, facet_measures, judge
 from ptd.kernel import kernel, wide
 from ptd.passes import Points
-from ptd.tin.layout import Int32Array, Mesh, is_ghost
-from ptd.tin.location import coincident_vertex, locate
+from ptd.tin.interpolation import canonical_facet
+from ptd.tin.layout import Int32Array, Mesh, is_ghost, real_neighbour
+from ptd.tin.location import coincident_vertex, locate, walk
 from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
 
@@ -109,6 +110,95 @@ def _is_near(
     return abs(distance) <= allowed, doubtful
 
 
+class _Facet(NamedTuple):
+    """A real triangle, and what `_is_near` needs of it: corners, local counts; plane and limit, horizontal counts.
+
+    The plane is given by its lexicographically smallest corner and its normal, as `facet_measures` has them.
+    """
+
+    t: int
+    ax: int
+    ay: int
+    bx: int
+    by: int
+    cx: int
+    cy: int
+    x: int
+    y: int
+    z: int
+    nx: float
+    ny: float
+    nz: float
+    length: float
+    allowed: float
+
+
+@kernel
+def _facet(vertices: Int32Array, triangles: Int32Array, t: int, rule: GroundRule) -> _Facet:
+    i, j, k = triangles[8 * t + 4], triangles[8 * t + 5], triangles[8 * t + 6]
+    a, b, c = canonical_facet(vertices, triangles, t)
+    x, y, z = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
+    ratio = rule.limits.z_ratio
+    bx, by, bz = float(vertices[4 * b] - x), float(vertices[4 * b + 1] - y), (vertices[4 * b + 2] - z) * ratio
+    cx, cy, cz = float(vertices[4 * c] - x), float(vertices[4 * c + 1] - y), (vertices[4 * c + 2] - z) * ratio
+    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    n2 = nx * nx + ny * ny + nz * nz
+    cos2 = nz * nz / n2
+    # The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
+    allowed = rule.floor * math.sqrt(cos2) + rule.per_slope * math.sqrt(max(1.0 - cos2, 0.0))
+    return _Facet(
+        t,
+        wide(vertices[4 * i]),
+        wide(vertices[4 * i + 1]),
+        wide(vertices[4 * j]),
+        wide(vertices[4 * j + 1]),
+        wide(vertices[4 * k]),
+        wide(vertices[4 * k + 1]),
+        wide(x),
+        wide(y),
+        wide(z),
+        nx,
+        ny,
+        nz,
+        math.sqrt(n2),
+        allowed,
+    )
+
+
+@kernel
+def _inside(f: _Facet, x: int, y: int) -> bool:
+    """Whether a position lies in a triangle, and not on its border."""
+    ax, ay, bx, by, cx, cy = f.ax - x, f.ay - y, f.bx - x, f.by - y, f.cx - x, f.cy - y
+    return bool(ax * by - ay * bx > 0 and bx * cy - by * cx > 0 and cx * ay - cy * ax > 0)
+
+
+@kernel
+def _label_by_height(
+    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule
+) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+    """As `_label` for `heights_only`: points that follow each other often lie in one facet, known by then."""
+    vertices, triangles = mesh
+    x, y, z = points
+    labels, marked = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
+    facet = _facet(vertices, triangles, real_neighbour(triangles, wide(0)), rule)
+    for i in range(x.size):
+        px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
+        if not _inside(facet, px, py):
+            t = walk(vertices, triangles, px, py, wide(start_near(locator, x[i], y[i])))
+            if not is_ghost(triangles, t):
+                facet = _facet(vertices, triangles, t, rule)
+            if is_ghost(triangles, t) or not _inside(facet, px, py):
+                t = locate(vertices, triangles, px, py, t)
+                terrain, marked[i] = _is_near(vertices, triangles, t, px, py, pz, in_doubt, rule)
+                labels[i] = GROUND if terrain else UNCLASSIFIED
+                continue
+        dx, dy, dz = float(px - facet.x), float(py - facet.y), (pz - facet.z) * rule.limits.z_ratio
+        distance = (facet.nx * dx + facet.ny * dy + facet.nz * dz) / facet.length
+        labels[i] = GROUND if abs(distance) <= facet.allowed else UNCLASSIFIED
+        marked[i] = in_doubt[facet.t] != 0
+    return labels, marked
+
+
 @kernel
 def _label(
     mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule
@@ -124,12 +214,9 @@ def _label(
         ):
             labels[i], marked[i] = UNCLASSIFIED, in_doubt[t] != 0
             continue
-        if rule.heights_only:
-            terrain, marked[i] = _is_near(vertices, triangles, t, px, py, pz, in_doubt, rule)
-        else:
-            terrain, _elsewhere, marked[i] = is_terrain(
-                vertices, triangles, t, px, py, pz, in_doubt, rule.limits, rule.floor
-            )
+        terrain, _elsewhere, marked[i] = is_terrain(
+            vertices, triangles, t, px, py, pz, in_doubt, rule.limits, rule.floor
+        )
         labels[i] = GROUND if terrain else UNCLASSIFIED
     return labels, marked
 
@@ -162,7 +249,8 @@ def label_points(
         Points outside the window could change the label.
     """
     if points.x.size and tin.n_triangles:
-        return _label(tin.mesh, locator, points, in_doubt, rule)
+        label = _label_by_height if rule.heights_only and not rule.vertices_only else _label
+        return label(tin.mesh, locator, points, in_doubt, rule)
     return np.full(points.x.size, UNCLASSIFIED, np.uint8), np.zeros(points.x.size, np.bool_)
 
 
@@ -186,8 +274,10 @@ class LowNoise:
         """Whether points are low noise: bool [n]."""
         if self._index is None:
             return np.zeros(z.size, np.bool_)
-        cell = self._index.find(x, y)
-        found: npt.NDArray[np.bool_] = (cell >= 0) & (z <= self._heights[cell])
+        found: npt.NDArray[np.bool_] = z <= self._heights.max()  # most lie above all of them
+        low = np.flatnonzero(found)
+        cell = self._index.find(x[low], y[low])
+        found[low] = (cell >= 0) & (z[low] <= self._heights[cell])
         return found
 
 

@@ -252,18 +252,15 @@ def _drop_raised(
             continue
         a, b, c = planes[k]
         for row in range(-REACH_CELLS, REACH_CELLS + 1):
-            for column in range(-REACH_CELLS, REACH_CELLS + 1):
-                key = keys[k] + row * width + column
-                j = np.searchsorted(keys, key)
-                if j == keys.size or keys[j] != key:
-                    continue
+            j = np.searchsorted(keys, keys[k] + row * width - REACH_CELLS)
+            while j < keys.size and keys[j] <= keys[k] + row * width + REACH_CELLS:
                 n = _total(sums, j, wide(0))
-                if n < MIN_POINTS:
-                    continue
-                mean = (_total(sums, j, wide(3)) / n + (low[j] - low[k])) * z_ratio
-                px, py = corner_x[j] - corner_x[k] + side / 2, corner_y[j] - corner_y[k] + side / 2
-                if mean < a * px + b * py + c - drop:
-                    ground[k] = False
+                if n >= MIN_POINTS:
+                    mean = (_total(sums, j, wide(3)) / n + (low[j] - low[k])) * z_ratio
+                    px, py = corner_x[j] - corner_x[k] + side / 2, corner_y[j] - corner_y[k] + side / 2
+                    if mean < a * px + b * py + c - drop:
+                        ground[k] = False
+                j += 1
     return ground
 
 

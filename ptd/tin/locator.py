@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ptd.cells import quotient
 from ptd.kernel import inlined, kernel, wide
 from ptd.tin.layout import N_VERTICES, Int32Array
 from ptd.tin.mesh import Tin
@@ -18,9 +19,10 @@ def _start_grid(
     vertices: Int32Array, n: int, west: int, south: int, cell: int, height: int, width: int
 ) -> Int32Array:
     """A triangle near each cell of a raster: int32 [height * width]."""
-    grid = np.full(height * width, -1, np.int32)
+    grid, inverse = np.full(height * width, -1, np.int32), 1.0 / cell
     for v in range(n):
-        row, column = (vertices[4 * v + 1] - south) // cell, (vertices[4 * v] - west) // cell
+        row = quotient(vertices[4 * v + 1] - south, cell, inverse)
+        column = quotient(vertices[4 * v] - west, cell, inverse)
         grid[row * width + column] = max(vertices[4 * v + 3], 0)
     last = np.int32(0)
     for k in range(grid.size):
@@ -41,6 +43,8 @@ class Locator(NamedTuple):
         Where the raster begins, local counts.
     cell : int
         Its cells' side, counts.
+    inverse : float
+        1 / cell.
     width, height : int
     """
 
@@ -48,6 +52,7 @@ class Locator(NamedTuple):
     west: int
     south: int
     cell: int
+    inverse: float
     width: int
     height: int
 
@@ -61,12 +66,14 @@ class Locator(NamedTuple):
         cell = max(int(np.sqrt(wide * high / (GRID_CELLS_PER_VERTEX * n))), (wide + high) // (8 * n + 64) + 1)
         width, height = wide // cell + 1, high // cell + 1
         grid = _start_grid(tin.vertex_array, n, west, south, cell, height, width)
-        return cls(grid, west, south, cell, width, height)
+        return cls(grid, west, south, cell, 1.0 / cell, width, height)
 
 
 @inlined
 def start_near(locator: Locator, x: int, y: int) -> int:
     """A triangle near (x, y), from which `ptd.tin.location.locate` walks."""
-    column = min(max((x - locator.west) // locator.cell, 0), locator.width - 1)
-    row = min(max((y - locator.south) // locator.cell, 0), locator.height - 1)
+    column = quotient(wide(x) - locator.west, locator.cell, locator.inverse)
+    row = quotient(wide(y) - locator.south, locator.cell, locator.inverse)
+    column = min(max(column, 0), locator.width - 1)
+    row = min(max(row, 0), locator.height - 1)
     return wide(locator.grid[row * locator.width + column])

@@ -10,7 +10,7 @@ import pytest
 from ptd.cells import Xyz
 from ptd.frame import Cells, Scale
 from ptd.ground.criteria import Limits
-from ptd.ground.labelling import GroundRule, LowNoise, label_points
+from ptd.ground.labelling import GroundRule, LowNoise, _is_near, label_points
 from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
 
@@ -133,3 +133,24 @@ def test_what_is_allowed_in_height_grows_with_the_slope() -> None:
         2,
         1,
     ]  # a vertex has no slope
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_heights_are_judged_as_point_by_point(seed: int) -> None:
+    """On a small lattice, where points lie on vertices, on edges, on the hull and beyond it."""
+    random = np.random.default_rng(seed)
+    tin = Tin.build(*random.integers(0, 12, (3, 60)))
+    points = Xyz(*random.integers(-2, 14, (3, 2000)).astype(np.int32))
+    in_doubt = (random.random(tin.n_triangles) < 0.3).astype(np.uint8)
+    in_doubt[[tin.is_ghost(t) for t in range(tin.n_triangles)]] = 1  # as it always is
+    rule = GroundRule(LIMITS, 1.0, heights_only=True, per_slope=0.5)
+    labels, marked = label_points(tin, Locator.of(tin), points, in_doubt, rule)
+
+    for label, mark, x, y, z in zip(labels, marked, *points, strict=True):
+        t = tin.locate(int(x), int(y))
+        on_a_vertex = (tin.vertices[:, :2] == (x, y)).all(axis=1).any()
+        near, doubtful = _is_near(
+            tin.vertex_array, tin.triangle_array, t, int(x), int(y), int(z), in_doubt, rule
+        )
+        assert label == (2 if near else 1)
+        assert on_a_vertex or mark == doubtful  # on a vertex any of its triangles may have a say
