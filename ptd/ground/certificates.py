@@ -9,13 +9,13 @@ The proof is in ``docs/filters.md``.
 from __future__ import annotations
 
 import math
-from dataclasses import astuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import Scale, Window
-from ptd.kernel import kernel
+from ptd.kernel import inlined, kernel
 from ptd.tin.layout import Int32Array, is_ghost
 
 DOUBT_CELL_M = 2.0
@@ -23,7 +23,6 @@ MAX_RASTER = 1024
 """Cells of the raster of doubt along its longer side, at most."""
 
 Float32 = npt.NDArray[np.float32]
-Float64 = npt.NDArray[np.float64]
 UInt8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
@@ -91,7 +90,15 @@ def _mark_triangles(
                     mask[row, column] = 1
 
 
-@kernel
+class _Sides(NamedTuple):
+    """West, south, east and north of the known window, of the raster, and of the deep window."""
+
+    known: tuple[float, float, float, float]
+    raster: tuple[float, float, float, float]
+    deep: tuple[float, float, float, float]
+
+
+@inlined
 def _circle_in_doubt(
     bx: float,
     by: float,
@@ -99,7 +106,7 @@ def _circle_in_doubt(
     cy: float,
     ax: float,
     ay: float,
-    sides: Float64,
+    sides: _Sides,
     cell: float,
     free: Float32,
 ) -> bool:
@@ -113,24 +120,24 @@ def _circle_in_doubt(
     return _disk_in_doubt(ax + ux, ay + uy, radius, sides, cell, free)
 
 
-@kernel
-def _disk_in_doubt(x: float, y: float, radius: float, sides: Float64, cell: float, free: Float32) -> bool:
+@inlined
+def _disk_in_doubt(x: float, y: float, radius: float, sides: _Sides, cell: float, free: Float32) -> bool:
     """Whether a disk may hold a place in doubt."""
-    if not _within(x, y, radius, sides[0:4]):
+    if not _within(x, y, radius, sides.known):
         return True
-    if not _within(x, y, radius, sides[4:8]) and not _within(x, y, radius, sides[8:12]):
+    if not _within(x, y, radius, sides.raster) and not _within(x, y, radius, sides.deep):
         return True
-    column, row = (x - sides[4]) / cell, (y - sides[5]) / cell
+    column, row = (x - sides.raster[0]) / cell, (y - sides.raster[1]) / cell
     near_x = min(max(column, 0.0), float(free.shape[1]))
     near_y = min(max(row, 0.0), float(free.shape[0]))
     # The nearest point of the raster is nearer to all of it than the centre is, by at least the rest of a right angle.
     beyond2 = (column - near_x) ** 2 + (row - near_y) ** 2
     clear = float(free[min(int(near_y), free.shape[0] - 1), min(int(near_x), free.shape[1] - 1)])
-    return radius >= math.sqrt(beyond2 + clear * clear) * cell
+    return radius >= (math.sqrt(beyond2 + clear * clear) if beyond2 > 0.0 else clear) * cell
 
 
 @kernel
-def _within(x: float, y: float, radius: float, sides: Float64) -> bool:
+def _within(x: float, y: float, radius: float, sides: tuple[float, float, float, float]) -> bool:
     """Whether a disk lies within west, south, east, north."""
     return bool(
         x - radius >= sides[0] and y - radius >= sides[1] and x + radius < sides[2] and y + radius < sides[3]
@@ -139,7 +146,7 @@ def _within(x: float, y: float, radius: float, sides: Float64) -> bool:
 
 @kernel
 def _doubtful_triangles(
-    vertices: Int32Array, triangles: Int32Array, n: int, sides: Float64, cell: int, free: Float32, out: UInt8
+    vertices: Int32Array, triangles: Int32Array, n: int, sides: _Sides, cell: int, free: Float32, out: UInt8
 ) -> None:
     for t in range(n):
         if is_ghost(triangles, t):
@@ -162,7 +169,7 @@ def _doubtful_triangles(
 
 @kernel
 def _disks_in_doubt(
-    x: Int32Array, y: Int32Array, radius: float, sides: Float64, cell: float, free: Float32, out: Bool
+    x: Int32Array, y: Int32Array, radius: float, sides: _Sides, cell: float, free: Float32, out: Bool
 ) -> None:
     for i in range(x.size):
         out[i] = _disk_in_doubt(float(x[i]), float(y[i]), radius, sides, cell, free)
@@ -189,13 +196,10 @@ class Doubt:
         self.west, self.south = box[0], box[1]
         width, height = (box[2] - box[0]) // self.cell + 1, (box[3] - box[1]) // self.cell + 1
         self.mask = np.zeros((height, width), np.uint8)
-        raster = (
-            self.west,
-            self.south,
-            self.west + width * self.cell,
-            self.south + height * self.cell,
+        east, north = self.west + width * self.cell, self.south + height * self.cell
+        self._sides = _Sides(
+            _floats(known), _floats(Window(self.west, self.south, east, north)), _floats(deep)
         )
-        self._sides = np.array([*astuple(known), *raster, *astuple(deep)], np.float64)
         self._free = np.zeros((0, 0), np.float32)
         self._stale = True
 
@@ -252,6 +256,11 @@ class Doubt:
             self._free = _free_cells(self.mask)
             self._stale = False
         return self._free
+
+
+def _floats(window: Window) -> tuple[float, float, float, float]:
+    """West, south, east, north."""
+    return float(window.west), float(window.south), float(window.east), float(window.north)
 
 
 def _free_cells(mask: UInt8) -> Float32:
