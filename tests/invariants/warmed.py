@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 import tiler.plan.sizes
-import tiler.schedule.workers
+import tiler.schedule
 from ptd import classify
 from tests.invariants import runs  # noqa: F401
 
