@@ -21,6 +21,9 @@ from tiler.runs.record import Facts, RunRecord
 from tiler.schedule import Task
 from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 
+SAVED_SECONDS = 2.0
+"""For so long run.json may not know of a stage that ended; what was done is known by the store."""
+
 
 @dataclass(frozen=True)
 class RunResult:
@@ -99,6 +102,7 @@ class Job:
     record: RunRecord = field(default_factory=RunRecord)
     crew: Crew = field(init=False)
     compiler: Compiler = field(init=False)
+    _saved: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
         self.compiler = Compiler(
@@ -131,8 +135,14 @@ class Job:
         """
         self.store.uncommit(stage, *keys)
 
+    def save_on_the_way(self) -> None:
+        """Write run.json unless that was done a moment ago: small stages take less time than writing it."""
+        if time.monotonic() - self._saved > SAVED_SECONDS:
+            self.save("running")
+
     def save(self, state: str) -> dict[str, Any]:
         """Write run.json and return its content."""
+        self._saved = time.monotonic()
         content = self.record.content(self.plan, state)
         write_run_file(self.out, content)
         if is_url(self.products):  # a run from elsewhere knows by it whose files these are

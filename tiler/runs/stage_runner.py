@@ -74,7 +74,7 @@ def run_stage(
     job.store.compact(stage, PACKED_COMMITS)
     job.record.stages[stage] = {**info, "computed": len(todo), "seconds": seconds, "peak_rss_bytes": peak_rss}
     job.listener("stage_finished", {"stage": stage, "seconds": seconds})
-    job.save("running")
+    job.save_on_the_way()
     return dict(sorted(done.items()))
 
 

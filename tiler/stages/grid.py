@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -14,7 +14,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.products import MASK_VALUES, OUTSIDE
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.errors import ProcessingError
+from tiler.errors import DamagedError, ProcessingError
 from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
 from tiler.plan import KEEP
 from tiler.plan.advice import roofs_in_terrain
@@ -29,7 +29,7 @@ from tiler.stages.raster_table import wanted
 from tiler.stages.raster_tasks import WHOLE
 from tiler.stages.tasks import Assembled
 from tiler.stages.water import find_waters, tell_of_waters
-from tiler.store import Commits
+from tiler.store import Commits, open_store
 
 MATCHED, MATCHED_SURFACE, MATCHED_EROSION = "dim", "median", Fraction(1, 2)
 """Kind of matched clouds, and how their surface is made unless the user says it: noise is averaged, and the skirts of
@@ -127,16 +127,44 @@ def _advise(job: Job, spec: RasterSpec, made: Commits) -> None:
         return
     found = job.store.get_state("advice")
     if job.record.stages["grid-dtm"]["computed"] or not found or found["building_m"] != building:
-        filled = (
-            spec.block_named(key, BLOCK_PIXELS) for key, (_, record) in made.items() if record["filled"]
-        )
-        roof = job.plan.parameters.get("roof_size_m")
-        text = roofs_in_terrain(job.store, "dtm", spec, filled, building, roof)
-        found = {"building_m": building, "texts": [] if text is None else [text]}
+        filled = tuple(key for key, (_, record) in made.items() if record["filled"])
+        work = FindRoofs(spec, filled, building, job.plan.parameters.get("roof_size_m"))
+        found = {"building_m": building, "texts": _roofs_left(job, work)}
         job.store.put_state("advice", found)
     job.facts["advice"] = found["texts"]
     for line in found["texts"]:
         job.listener("warning", {"text": line})
+
+
+@dataclass(frozen=True)
+class FindRoofs:
+    """Where roofs are looked for in the terrain, see `roofs_in_terrain`; ``filled``: names of blocks with heights."""
+
+    spec: RasterSpec
+    filled: tuple[str, ...]
+    building_m: float
+    roof_m: float | None
+
+
+def find_roofs(store_url: str, work: FindRoofs) -> dict[str, Any]:
+    """On a worker, which has loaded the kernels that this needs: ``texts``, warnings of roofs in the terrain."""
+    blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
+    text = roofs_in_terrain(open_store(store_url), "dtm", work.spec, blocks, work.building_m, work.roof_m)
+    return {"texts": [] if text is None else [text]}
+
+
+def _roofs_left(job: Job, work: FindRoofs) -> list[str]:
+    """Have a worker look for roofs."""
+    task = Task("advice", "roofs", digest_of(work), find_roofs, work)
+    *_, last = job.crew.executor().run(compute, job.store.url, [task])
+    if last.damaged:
+        raise DamagedError(
+            f"{job.store.url}: {', '.join(last.damaged)}: damaged or gone; run again", last.damaged
+        )
+    if last.record is None:
+        raise ProcessingError(f"roofs in the terrain cannot be looked for: {last.error}")
+    found: list[str] = last.record["texts"]
+    return found
 
 
 def _tell_of_outline(job: Job, gridding: Gridding) -> None:
