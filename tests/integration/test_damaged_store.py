@@ -11,6 +11,8 @@ from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
 from tests.scenes.damages import DAMAGES, flip
 from tiler.errors import StoreError
+from tiler.export import classified
+from tiler.io.las.reader import PointReader
 from tiler.store import open_store
 
 CHUNKS = {
@@ -47,6 +49,22 @@ def out(whole: Path, tmp_path: Path) -> Path:
     (tmp_path / "out" / "dtm.tif").unlink()
     shutil.rmtree(tmp_path / "out" / "classified")
     return tmp_path / "out"
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_a_source_is_decoded_again_only_where_its_records_are_damaged(
+    damaged: bool, cloud: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded = []
+    monkeypatch.setattr(classified, "PointReader", lambda *a, **k: decoded.append(a) or PointReader(*a, **k))
+    do(cloud, tmp_path, until="ingest")
+    (chunk,) = (tmp_path / "store.zarr").glob("records/*/c/0/0")
+    if damaged:
+        flip(chunk)
+    assert do(cloud, tmp_path).exit_code == 0
+    assert output_digests(tmp_path) == output_digests(whole)
+    assert len(decoded) == damaged
+    assert not chunk.exists()
 
 
 @pytest.mark.parametrize("damage", DAMAGES)

@@ -18,6 +18,7 @@ from tiler.observe.events import Listener, silent
 from tiler.pipeline import run
 from tiler.plan import KEEP
 from tiler.schedule import Guard
+from tiler.stages.file_tasks import kept_pieces
 from tiler.store import open_store
 
 ONE_WORKER_POINTS = 1_000_000
@@ -94,6 +95,7 @@ def _classify(
             cells=tuple(store.buckets()),
             salvage=config.salvage,
             stamp=info.stamp,
+            pieces=tuple(*kept_pieces(store.committed("spool")).values()),
             copc=target.name.lower().endswith(COPC_SUFFIX),
         )
         if config.in_process:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,12 @@ from tiler.io.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, 
 from tiler.io.las.copc_writer import CopcWriter
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.newer_formats import as_newer, newer_header
-from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, rows_at_once
+from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, record_dtype, rows_at_once
 from tiler.io.las.unchanged import refuse_changed, unchanged
 from tiler.io.las.writer import PlainWriter, PointWriter
 from tiler.io.locations import cloud_path, folder_for, state_of
 from tiler.io.partial_files import partial_path, sync_folder
-from tiler.store import TileStore, open_store
+from tiler.store import KeptRecords, TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27
 """Labels held in memory at once, one byte each."""
@@ -139,7 +140,7 @@ def _write_points(
         (first, min(ROWS_AT_ONCE, header.point_count - first))
         for first in range(0, header.point_count, ROWS_AT_ONCE)
     ]
-    with PointReader(header, EVERYTHING, ranges=work.ranges) as reader:
+    with _reader(store, header, work) as reader:
         for first, number in spans:
             last = first + number
             found = collect_labels(store, work, first, last)
@@ -170,6 +171,17 @@ def _write_points(
     histogram = {str(c): int(n) for c, n in enumerate(classes.tolist()) if n}
     record = {"changed": changed, "refused": refused, "classes": histogram}
     return record, statistics
+
+
+def _reader(
+    store: TileStore, header: LasHeader, work: WriteClassified
+) -> AbstractContextManager[KeptRecords | PointReader]:
+    """The records that the store kept as they were decoded; else the source is decoded once more."""
+    kept = None
+    if work.pieces and not work.ranges:
+        dtype = record_dtype(header.point_format, header.record_length)
+        kept = store.records(work.pieces, header.point_count, dtype)
+    return PointReader(header, EVERYTHING, ranges=work.ranges) if kept is None else nullcontext(kept)
 
 
 def _channels(header: LasHeader, records: Records) -> set[int]:

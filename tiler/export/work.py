@@ -10,6 +10,7 @@ from typing import Any
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
 from tiler.schedule import NOT_IN_DIGEST
+from tiler.store import KeptPiece
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,6 +242,8 @@ class WriteClassified:
         written. Empty: all points of the source are.
     copc : bool
         As COPC; else LAZ or LAS, by the name of ``out``.
+    pieces : tuple of KeptPiece
+        Of which the store may keep the records: the source is decoded where it does not.
     """
 
     path: str
@@ -254,6 +257,7 @@ class WriteClassified:
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
     ranges: tuple[tuple[int, int], ...] = ()
     copc: bool = False
+    pieces: tuple[KeptPiece, ...] = field(default=(), metadata=NOT_IN_DIGEST)
 
     def place(self, buckets: Lattice) -> Bounds | None:
         """Bounds of the buckets."""

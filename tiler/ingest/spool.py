@@ -17,18 +17,18 @@ from tiler.ingest.requantise import fits_int32, to_counts
 from tiler.io.cloud_reading import fetched_bytes
 from tiler.io.las.columns import class_and_flags, colours, returns
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.reader import NEEDED, PointReader, Records
+from tiler.io.las.reader import EVERYTHING, NEEDED, PointReader, Records
 from tiler.io.las.unchanged import unchanged
 from tiler.io.locations import cloud_path
 from tiler.schedule.task import NOT_IN_DIGEST
-from tiler.store import StoreMeta, open_store
+from tiler.store import LONGEST_BYTES, SPOOL_CHUNK, RecordKeeper, StoreMeta, TileStore, open_store
 
 NOT_FINITE = "not finite"
 BEYOND_FRAME = "beyond the frame"
 OUTSIDE_AREA = "outside the area"
 
-STEP = 1 << 16
-"""Records that are decoded and converted at a time."""
+STEP = SPOOL_CHUNK
+"""Records that are decoded, converted and kept at a time."""
 
 _RADIX_KEYS = 1 << 16
 
@@ -58,6 +58,8 @@ class SpoolPiece:
         Of the source, as the plan found it.
     ranges : tuple of (int, int)
         First record and number of each part of the piece, where it is not all one; then ``count`` is their sum.
+    keep : bool
+        Keep the records for the classified cloud, where decoding them is work.
     """
 
     path: str
@@ -71,6 +73,7 @@ class SpoolPiece:
     identity: str | None = None
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
     ranges: tuple[tuple[int, int], ...] = ()
+    keep: bool = field(default=False, metadata=NOT_IN_DIGEST)
 
 
 def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
@@ -96,16 +99,18 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     """
     store, before = open_store(store_url), fetched_bytes()
     frame, lattice = store.meta.frame, store.meta.bucket
-    with (
-        unchanged(cloud_path(work.path), work.stamp, work.salvage) as header,
-        PointReader(header, NEEDED, ranges=work.ranges) as reader,
-    ):
+    with unchanged(cloud_path(work.path), work.stamp, work.salvage) as header:
+        keeper = _keeper(store, work, header)
+        selection = NEEDED if keeper is None else EVERYTHING
         ranges = work.ranges or ((work.start, work.count),)
-        read = [
-            _read_step(store.meta, reader, work, first, min(STEP, start + count - first))
-            for start, count in ranges
-            for first in range(start, start + count, STEP)
-        ]
+        with PointReader(header, selection, ranges=work.ranges) as reader:
+            read = [
+                _read_step(store.meta, reader, keeper, work, first, min(STEP, start + count - first))
+                for start, count in ranges
+                for first in range(start, start + count, STEP)
+            ]
+        if keeper is not None:
+            keeper.close()
     dropped = sum((Counter(step.dropped) for step in read), Counter[str]())
     block = PointBlock.concatenate([step.block for step in read])
     order, index = sort_by_bucket(block.xyz, frame, lattice)
@@ -139,9 +144,25 @@ class _Step:
     rounding: float
 
 
-def _read_step(meta: StoreMeta, reader: PointReader, work: SpoolPiece, start: int, count: int) -> _Step:
+def _keeper(store: TileStore, work: SpoolPiece, header: LasHeader) -> RecordKeeper | None:
+    """What keeps the records of a piece, if that is wanted, saves a decoder's work, and can be done."""
+    if not work.keep or work.ranges or header.laz is None or header.record_length > LONGEST_BYTES:
+        return None
+    return store.keep_records(work.piece, work.identity, header.record_length)
+
+
+def _read_step(
+    meta: StoreMeta,
+    reader: PointReader,
+    keeper: RecordKeeper | None,
+    work: SpoolPiece,
+    start: int,
+    count: int,
+) -> _Step:
     """Decode ``count`` records from ``start`` on: few enough that the processor's cache holds what is made of them."""
     records = reader.read(start, count)
+    if keeper is not None:
+        keeper.add(records)
     local, keep, dropped, rounding = place(records, reader.header, meta.frame)
     rows = np.arange(start, start + count, dtype=np.int64)
     block = columns(records, reader.header, local, work.source, rows, meta.has_rgb)

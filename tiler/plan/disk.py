@@ -15,6 +15,8 @@ from tiler.plan.model import Plan
 
 SPOOL_BYTES, COLUMN_BYTES = 13, 14
 """Per point on disk, in the spool, and in its bucket with its label; measured on a city."""
+RECORD_BYTES = 12
+"""Per point, of the records that are kept until the classified clouds are written; measured on Autzen and a city."""
 STORED_PIXEL_BYTES = 2.2
 """Per pixel of the store's rasters, compressed; measured on a terrain model."""
 EMPTY_PIXEL_BYTES = 0.03
@@ -72,7 +74,7 @@ def projected_disk(plan: Plan) -> dict[str, int]:
     raster_scratch = held * largest + (pixels.largest - held) * EMPTY_PIXEL_BYTES * workers
     return {
         "store": int(
-            plan.points * (SPOOL_BYTES + COLUMN_BYTES + 0.3 * labels)
+            plan.points * (SPOOL_BYTES + COLUMN_BYTES + 0.3 * labels + plan.writes_clouds * RECORD_BYTES)
             + STORED_PIXEL_BYTES * pixels.filled * len(names)
         ),
         "rasters": int(pixels.filled * sum(sizes) + pixels.empty * EMPTY_PIXEL_BYTES * len(names)),

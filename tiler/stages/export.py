@@ -59,6 +59,7 @@ def export(
     put_aside(job, written.values(), basis)
     _make_folders(rasters, out)  # only now: the folder of sheets that were put aside is gone
     made = _write(job, "export", tasks, out)
+    job.store.drop_records()
     _tell_of_contours(job)
     _tell_of_outline(job)
     if "fetched" in job.facts:

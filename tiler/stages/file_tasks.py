@@ -39,7 +39,7 @@ from tiler.stages.ingest_tasks import Source, by_source
 from tiler.stages.raster_table import MODELS, final, raster_table
 from tiler.stages.raster_tasks import checksums
 from tiler.stages.tasks import area_key
-from tiler.store import Commits
+from tiler.store import Commits, KeptPiece
 from tiler.version import __version__
 
 
@@ -231,6 +231,16 @@ def _window(plan: Plan, info: SourceInfo) -> tuple[tuple[int, int], ...]:
     return tuple(records for ranges in found for records in ranges)
 
 
+def kept_pieces(spooled: Commits) -> dict[str, list[KeptPiece]]:
+    """Name of a source -> its pieces in order."""
+    found: dict[str, list[KeptPiece]] = defaultdict(list)
+    for key in sorted(spooled):
+        source, _, start = key.partition("-")
+        record = spooled[key][1]
+        found[source].append(KeptPiece(key, int(start), record["read"], record["identity"]))
+    return found
+
+
 def classified_tasks(
     plan: Plan,
     sources: Iterable[Source],
@@ -239,7 +249,7 @@ def classified_tasks(
     out: str,
 ) -> Iterator[Task]:
     """One task for each classified cloud."""
-    records = by_source(spooled)
+    records, pieces = by_source(spooled), kept_pieces(spooled)
     for source in sources:
         touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]}
         cells = sorted(touched & labels.keys())  # a bucket whose task failed is not there
@@ -256,6 +266,7 @@ def classified_tasks(
             stamp=source.info.stamp,
             ranges=_window(plan, source.info),
             copc=plan.config.classified == "copc",
+            pieces=tuple(pieces[source.name]),
         )
         digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells], "statistics")
         points = sum(count for _, count in work.ranges) or source.info.points

@@ -32,7 +32,7 @@ from tiler.store import BucketInfo, Commits
 
 def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     """Decode; a source with a piece that failed, or whose points cannot be where they are, is left out whole."""
-    spooled = run_stage(job, "spool", spool_tasks(job.plan, sources))
+    spooled = run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
     bad = {source_of(f["key"]): f["error"] for f in job.record.failed if f["stage"] == "spool"}
     job.record.failed = [f for f in job.record.failed if f["stage"] != "spool"]
     bad |= _misplaced(job, [s for s in sources if s.name not in bad], spooled)
@@ -74,6 +74,11 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
             f"all {read:,} points were dropped ({', '.join(dropped)}): nothing to make a terrain of"
         )
     return spooled, good
+
+
+def _keeps_records(job: Job) -> bool:
+    """Whether records are kept for the classified clouds: in a store of this machine, which gives them for nothing."""
+    return job.plan.writes_clouds and not job.plan.config.salvage and not is_url(job.store.url)
 
 
 def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, str]:
@@ -170,7 +175,7 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
     if gone:
         job.note(f"{len(gone)} pieces were removed from the store since they were decoded; they are again")
         job.take_back("spool", gone)
-        run_stage(job, "spool", spool_tasks(job.plan, sources))
+        run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
 
 
 def _tell_of_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:

@@ -50,8 +50,8 @@ class Source:
         return [self.info.size, self.info.digest, self.content, self.info.salvaged]
 
 
-def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
-    """One for each piece of a source."""
+def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[Task]:
+    """One for each piece of a source; ``keep`` its records."""
     for source in sources:
         wanted = plan.buckets_of(source.info)
         claimed = claimed_bounds(source.info)
@@ -71,6 +71,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source]) -> Iterator[Task]:
                 identity=identity,
                 stamp=source.info.stamp,
                 ranges=ranges,
+                keep=keep,
             )
             yield Task("spool", key, digest_of(identity, wanted), spool_piece, work, count)
 

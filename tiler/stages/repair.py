@@ -23,6 +23,8 @@ def heal(job: Job, keys: Iterable[str]) -> None:
         whole = rest[:1] != ["c"] or not rest[1:2][0].isdigit()  # not a chunk: the whole array
         if kind == "spool":
             job.store.uncommit("spool", name)
+        elif kind == "records":
+            job.store.forget(f"records/{name}")  # the source is decoded once more
         elif kind == "rasters" and whole:
             job.store.clear(f"grid-{name}")
             job.store.forget(f"rasters/{name}")

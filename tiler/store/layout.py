@@ -9,7 +9,8 @@
     labels/<name>                  uint8, rows as in points
     elected/<name>                 int32 (rows, 3, ROW_POINTS): points that a pass made, in the rows of their buckets
     rasters/<name>                 float32 (height, width)
-    spool/<piece>                  records of one source piece, sorted by bucket
+    spool/<piece>                  points of one source piece, sorted by bucket
+    records/<piece>                records of one source piece as they were decoded
     commits/<stage>/<key>.json     one finished task
     packs/<stage>.json             finished tasks, packed into one object
     state/<name>.json              state of the run
@@ -146,6 +147,11 @@ def spool_kind(has_rgb: bool) -> ArrayKind:
     return ArrayKind("uint8", (SPOOL_CHUNK, size), item=size)
 
 
+def records_kind(record_bytes: int) -> ArrayKind:
+    """Pieces of sources as they were decoded: bytes of whole records, shuffled as such."""
+    return ArrayKind("uint8", (SPOOL_CHUNK, record_bytes), item=record_bytes)
+
+
 def points_path(column: str) -> str:
     """Path of a column."""
     return f"points/{column}"
@@ -169,6 +175,11 @@ def raster_path(name: str) -> str:
 def spool_path(piece: str) -> str:
     """Path of a piece of the spool."""
     return f"spool/{safe(piece)}"
+
+
+def records_path(piece: str) -> str:
+    """Path of the records of a piece."""
+    return f"records/{safe(piece)}"
 
 
 def index_key(digest: str) -> str:
@@ -196,14 +207,14 @@ _SAFE = re.compile(_NAME)
 _HEX = "[0-9a-f]{32}"
 _KEYS = re.compile(
     r"zarr\.json|lock\.json"
-    rf"|(points|labels|elected|rasters|spool)/({_NAME}/)?zarr\.json"
-    rf"|(points|labels|elected|rasters|spool)/{_NAME}/c(/[0-9]+)+"
+    rf"|(points|labels|elected|rasters|spool|records)/({_NAME}/)?zarr\.json"
+    rf"|(points|labels|elected|rasters|spool|records)/{_NAME}/c(/[0-9]+)+"
     rf"|index/(current\.json|{_HEX}\.npy)"
     rf"|commits/{_NAME}/{_NAME}\.json|(packs|state)/{_NAME}\.json|trial/{_HEX}"
 )
 # What zarr's local store writes before it renames.
 _SCRATCH = re.compile(
-    rf"((points|labels|elected|rasters|spool|index|commits|packs|state|trial)/(.+/)?)?[^/]+\.{_HEX}\.partial"
+    rf"((points|labels|elected|rasters|spool|records|index|commits|packs|state|trial)/(.+/)?)?[^/]+\.{_HEX}\.partial"
 )
 
 

@@ -17,7 +17,7 @@ from tiler.core.points import PointBlock
 from tiler.core.raster import NODATA, Block
 from tiler.core.water import Waters
 from tiler.errors import StoreError
-from tiler.store import arrays, commits, elected, index, layout, lock, points, rasters, rows, spool
+from tiler.store import arrays, commits, elected, index, layout, lock, points, rasters, records, rows, spool
 from tiler.store.index import Bucket, BucketIndex, BucketInfo
 from tiler.store.meta import StoreMeta
 from tiler.store.storage import Storage, Usage
@@ -147,6 +147,20 @@ class TileStore:
         """Names of the pieces in the spool; some that were written in part may be among them."""
         return set(self._storage.names("spool"))
 
+    def keep_records(self, piece: str, identity: str | None, record_bytes: int) -> records.RecordKeeper:
+        """Begin to keep the records of a source piece."""
+        return records.RecordKeeper(self._storage, piece, identity, record_bytes)
+
+    def records(
+        self, pieces: Sequence[records.KeptPiece], count: int, dtype: np.dtype[np.void]
+    ) -> records.KeptRecords | None:
+        """The ``count`` records of a source that consists of some pieces; None where they are not kept."""
+        return records.find_records(self._storage, pieces, count, dtype)
+
+    def drop_records(self) -> None:
+        """Remove all records that were kept (*coordinator*)."""
+        self._storage.delete_folder("records")
+
     def drop_spool(self) -> None:
         """Remove the spool (*coordinator*)."""
         self._storage.delete_folder("spool")
@@ -158,6 +172,7 @@ class TileStore:
         """
         if index.remove_older(self._storage).rows:
             self.drop_spool()
+        self.drop_records()
         for stage in self._storage.names("commits"):
             commits.compact(self._storage, stage)
         self._storage.remove_scratch()
