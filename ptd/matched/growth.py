@@ -2,7 +2,8 @@
 
 A hull reaches the top of a step some metres behind its edge. So ground grows there, cell by cell: a cell above the
 surface joins if it lies on the plane through the ground cells beside it. What stands on the ground rises from it at a
-wall, and on no plane of what is beside it.
+wall, and on no plane of what is beside it. The faces of banks are on no plane either: on terrain as a whole
+(`ptd.matched.objects`) a cell joins as well if it lies between ground cells on opposite sides and below the upper one.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from ptd.cells import Int64
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
 
-STEPS = 12
+STEPS = 8
 """Cells that ground grows, at most."""
 HIGHEST_M = 3.0
 """What lies higher above the surface does not join: roofs of houses on slopes may go on as the terrain above."""
@@ -22,6 +23,8 @@ PLANE_CELLS, PLANE_SQUARE = 2, 5
 """Ground cells of which a plane is made: as far along rows and columns, and the square of their distance."""
 LEAST, BESIDE = 6, 2
 """Of how many a plane is made at least, and how many of them touch the cell."""
+BETWEEN_CELLS, BETWEEN_SHARE = 3, 0.7
+"""So near are ground cells on opposite sides; a cell joins up to this share of the way from the lower to the upper."""
 LEVEL = 3.0
 """Weight of no slope at all, in square cells: few cells in a row say nothing of the slope across it."""
 NEAR_M, NEAR_SIGMAS = 0.12, 1.5
@@ -32,7 +35,7 @@ Float64 = npt.NDArray[np.float64]
 
 def reach_cells() -> int:
     """Cells beyond which nothing has a part in whether a cell joins."""
-    return STEPS * PLANE_CELLS
+    return STEPS * max(PLANE_CELLS, BETWEEN_CELLS)
 
 
 @kernel
@@ -69,7 +72,27 @@ def _above_plane(height: Float64, ground: Bool, row: int, column: int) -> float:
 
 
 @kernel
-def _grow(height: Float64, ground: Bool, near: Float64, rows: Int64, columns: Int64) -> Float64:
+def _is_between(height: Float64, ground: Bool, row: int, column: int) -> bool:
+    """Whether a cell lies on a face between ground cells on opposite sides."""
+    for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        ahead, behind = np.nan, np.nan
+        for k in range(BETWEEN_CELLS, 0, -1):
+            if ground[row + k * dr, column + k * dc]:
+                ahead = height[row + k * dr, column + k * dc]
+            if ground[row - k * dr, column - k * dc]:
+                behind = height[row - k * dr, column - k * dc]
+        middle, half = 0.5 * (ahead + behind), 0.5 * abs(ahead - behind)
+        if (
+            height[row, column] < middle + (2 * BETWEEN_SHARE - 1) * half
+        ):  # never with ground on one side alone
+            return True
+    return False
+
+
+@kernel
+def _grow(
+    height: Float64, ground: Bool, terrain: Bool, near: Float64, rows: Int64, columns: Int64
+) -> Float64:
     """Heights where cells joined, NaN elsewhere; ``ground`` is changed. All that join in a step do so together."""
     found = np.full(height.shape, np.nan)
     waiting = np.ones(rows.size, np.bool_)
@@ -78,12 +101,17 @@ def _grow(height: Float64, ground: Bool, near: Float64, rows: Int64, columns: In
         n = 0
         for k in range(rows.size):
             r, c = rows[k], columns[k]
-            if waiting[k] and _beside(ground, r, c) >= BESIDE:
+            if not waiting[k]:
+                continue
+            above = np.nan
+            if terrain[r, c] and _is_between(height, ground, r, c):
+                above = 0.0
+            elif _beside(ground, r, c) >= BESIDE:
                 above = _above_plane(height, ground, r, c)
-                if abs(above) < near[r, c]:
-                    found[r, c] = height[r, c] - 0.5 * above
-                    joins[n] = k
-                    n += 1
+            if abs(above) < near[r, c]:
+                found[r, c] = height[r, c] - 0.5 * above
+                joins[n] = k
+                n += 1
         if n == 0:
             break
         for k in joins[:n]:
@@ -91,7 +119,9 @@ def _grow(height: Float64, ground: Bool, near: Float64, rows: Int64, columns: In
     return found
 
 
-def grown(height: Float64, ground: Bool, may_join: Bool, sigma: Float64, narrowing: Float64) -> Float64:
+def grown(
+    height: Float64, ground: Bool, may_join: Bool, terrain: Bool, sigma: Float64, narrowing: Float64
+) -> Float64:
     """Heights of cells that join the ground: halfway between the cell and the plane beside it, NaN elsewhere.
 
     Parameters
@@ -99,10 +129,12 @@ def grown(height: Float64, ground: Bool, may_join: Bool, sigma: Float64, narrowi
     height : float64 [rows, columns]
         Of cells, metres.
     ground, may_join : bool [rows, columns]
-        Cells that are ground, and that may be; none within `PLANE_CELLS` of the raster's edges.
+        Cells that are ground, and that may be; none within `BETWEEN_CELLS` of the raster's edges.
+    terrain : bool [rows, columns]
+        Cells of surfaces that are terrain as wholes.
     sigma, narrowing : float64 [rows, columns]
         Noise in metres, and how much nearer to the plane cells lie among plants (`ptd.matched.surface.Surface`).
     """
     rows, columns = np.nonzero(may_join)
     near = (NEAR_M + NEAR_SIGMAS * sigma) * narrowing
-    return _grow(height, ground.copy(), near, rows.astype(np.int64), columns.astype(np.int64))
+    return _grow(height, ground.copy(), terrain, near, rows.astype(np.int64), columns.astype(np.int64))

@@ -34,9 +34,9 @@ AREA_M2 = 40.0
 """The smallest object that is judged as a whole; smaller ones are passed below by less stiff hulls."""
 WIDEST_M = 200.0
 """What is wider than this is terrain."""
-TERRAIN_M, TERRAIN_FALLS = 100.0, 0.25
+TERRAIN_M, TERRAIN_FALLS, TERRAIN_RIM = 100.0, 0.35, 0.2
 """So is what is wider than this and falls at no more than this share of its rim, however little of it the hull touches:
-ridges and crests."""
+ridges and crests. But no more than this share of its cells may be rim: the top of a wood is full of gaps."""
 ON_HULL_M, ON_HULL_SHARE = 70.0, 0.5
 """And what is wider than this both ways, falls as little, and lies near the hull by this share: the ground of a small
 survey. In a strip or a garden plants that lean on it would have too large a part."""
@@ -129,5 +129,5 @@ def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Sc
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
     objects = large & stands & (width_m <= WIDEST_M)
     wide = (width_m > TERRAIN_M) | (sides_m.min(axis=0) > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
-    terrain = wide & (fallen <= TERRAIN_FALLS) & ~objects | (width_m > WIDEST_M)
+    terrain = wide & (fallen <= TERRAIN_FALLS) & (rim <= TERRAIN_RIM * area) & ~objects | (width_m > WIDEST_M)
     return np.append(objects, False)[surface], np.append(terrain, False)[surface]

@@ -192,7 +192,7 @@ def ground_surface(
         return below
 
     start = _bent(cells, terrain, hull, sigma_m)
-    height, sigma, narrowing = _refined(cells, start, sigma_m)
+    height, sigma, narrowing = _refined(cells, terrain, start, sigma_m)
     return Surface(_extended(height, there), sigma, narrowing)
 
 
@@ -287,7 +287,9 @@ def _of_terrain(cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float) 
     return cells.around(above & terrain, TERRAIN_M) / np.maximum(cells.around(above, TERRAIN_M), 1e-3)
 
 
-def _refined(cells: _Cells, surface: Float64, sigma_m: float) -> tuple[Float64, Float64, Float64]:
+def _refined(
+    cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float
+) -> tuple[Float64, Float64, Float64]:
     """The surface amid the cells that lie about it, their noise, and how much narrower the band is in plants."""
     _, _, above, below = _about(cells, surface, sigma_m)
     for k in range(ROUNDS):
@@ -300,17 +302,17 @@ def _refined(cells: _Cells, surface: Float64, sigma_m: float) -> tuple[Float64, 
             mean = smoothed(weight * (cells.height - surface), std_m) / (smoothed(weight, std_m) + FEW)
             surface = surface + np.where(cells.there, mean, 0.0)
     sigma, narrowing, above, below = _about(cells, surface, sigma_m)
-    return _to_edges(cells, surface, sigma, narrowing, above, below), sigma, narrowing
+    return _to_edges(cells, terrain, surface, sigma, narrowing, above, below), sigma, narrowing
 
 
 def _to_edges(
-    cells: _Cells, surface: Float64, sigma: Float64, narrowing: Float64, above: Float64, below: Float64
-) -> Float64:
+    cells: _Cells, terrain: Bool, surface: Float64, sigma: Float64, narrowing: Float64, above: Float64, below: Float64
+) -> Float64:  # fmt: skip
     """The surface after ground grew to the edges of terraces and banks; changed only near cells that joined."""
     residual = cells.height - surface
     ground = cells.there & (residual < above) & (residual > -below)
     may_join = cells.there & (residual >= above) & (residual < growth.HIGHEST_M)
-    joined = growth.grown(cells.height, ground, may_join, sigma, narrowing)
+    joined = growth.grown(cells.height, ground, may_join, terrain, sigma, narrowing)
     joins = ~np.isnan(joined)
     if not joins.any():
         return surface

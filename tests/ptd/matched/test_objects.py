@@ -72,6 +72,17 @@ def test_the_ground_of_a_small_survey_is_terrain_ditch_or_not(side: int, is_terr
     assert of(z)[1].all() == is_terrain
 
 
+@pytest.mark.parametrize("full_of_gaps", [False, True])
+def test_a_ridge_is_terrain_but_not_the_top_of_a_wood(full_of_gaps: bool) -> None:
+    """As wide, as high above the hull, and both fall at less than TERRAIN_FALLS of their rim."""
+    top = box(170, 60, 90, 30, 150)
+    row, column = np.mgrid[:170, :170]
+    z = np.where(top, 10.0, np.where((row < 60) & (column < 110), 0.0, 14.0))
+    if full_of_gaps:
+        z[62:88:3, 32:148:3] = 11.0
+    assert of(z)[1][61, 33] == (not full_of_gaps)
+
+
 @pytest.mark.parametrize(("wide", "is_object"), [(int(WIDEST_M), True), (int(WIDEST_M) + 1, False)])
 def test_what_is_wider_than_a_limit_is_terrain(wide: int, is_object: bool) -> None:
     side = 260

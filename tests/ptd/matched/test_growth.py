@@ -1,0 +1,56 @@
+"""Ground that grows to the edges of terraces and down the faces of banks, and on nothing that stands there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ptd.matched.growth import STEPS, grown
+
+SHAPE = (40, 60)
+ROW, COLUMN = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+FREE = np.zeros(SHAPE, bool)
+FREE[3:-3, 3:-3] = True
+
+
+def growing(
+    height: np.ndarray, ground: np.ndarray, terrain: bool = False, sigma_m: float = 0.05
+) -> np.ndarray:
+    """What `grown` finds where all that is no ground may join, but the raster's edges."""
+    everywhere = np.ones(SHAPE)
+    whole = np.full(SHAPE, terrain)
+    return grown(height, ground & FREE, ~ground & FREE, whole, sigma_m * everywhere, everywhere)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3])
+def test_it_grows_on_a_plane_as_many_cells_as_it_says(slope: float) -> None:
+    height = slope * ROW + 0.02 * np.random.default_rng(1).standard_normal(SHAPE)
+    found = growing(height, COLUMN < 20)
+    joined = ~np.isnan(found)
+    assert joined[10:-10, 20 : 20 + STEPS].all()
+    assert not joined[:, 20 + STEPS :].any()
+    assert abs(found - slope * ROW)[joined].max() < 0.15
+
+
+def test_a_hut_does_not_join() -> None:
+    hut = (COLUMN >= 24) & (COLUMN < 28) & (ROW >= 15) & (ROW < 20)
+    joined = ~np.isnan(growing(np.where(hut, 2.0, 0.0), COLUMN < 20))
+    assert not joined[hut].any()
+    assert joined[15:20, 20:23].all()
+
+
+@pytest.mark.parametrize("is_terrain", [True, False])
+def test_the_face_of_a_bank_joins_on_terrain_as_a_whole(is_terrain: bool) -> None:
+    """Two cells as steep as the side of a crown."""
+    height = np.interp(COLUMN, [19.0, 20.0, 21.0, 22.0], [0.0, 0.9, 2.2, 4.0])
+    joined = ~np.isnan(growing(height, (COLUMN < 20) | (COLUMN > 21), is_terrain))
+    assert joined[10:-10, 20:22].all() == is_terrain
+    assert joined.any() == is_terrain
+
+
+def test_what_rises_above_both_sides_of_a_step_does_not_join() -> None:
+    """A wall on the edge of a terrace, and what has ground on one side alone."""
+    height = np.where(COLUMN < 20, 0.0, np.where(COLUMN < 22, 5.0, 4.0))
+    assert np.isnan(growing(height, (COLUMN < 20) | (COLUMN > 21), terrain=True)).all()
+    height = np.where(COLUMN < 20, 0.0, -2.0)
+    assert np.isnan(growing(height, COLUMN < 20, terrain=True)).all()
