@@ -71,8 +71,9 @@ ABOVE_M, ABOVE_SIGMAS, BELOW_M, BELOW_SIGMAS = 0.1, 2.5, 0.3, 3.0
 """What lies about the surface: metres and times the local noise, above and below."""
 ABOUT_SLOPE = 0.15
 """And metres per unit of slope; twice as much below, where slopes are lost."""
-GAP, NARROWEST = (0.2, 0.55), 0.25
-"""Contrast up to which the band above the surface is whole, and from which on it is so narrow: among low plants."""
+GAP, NARROWEST, GAP_TERRAIN = (0.1, 0.55), 0.25, 0.5
+"""Contrast up to which the band above the surface is whole, and from which on it is so narrow: among low plants.
+Cells of what is terrain as a whole count less: they may be banks."""
 NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02
 """Standard deviation of the surroundings from which noise is taken, its limit in times the run's, and the weight of
 that."""
@@ -219,7 +220,7 @@ def with_noise(heights: Int32, ground: Float64, sigma_m: float, scale: Scale) ->
     metres = 1.0 / scale.counts_z(1.0)
     cells = _Cells(np.where(there, heights * metres, 0.0), there)
     below: Float64 = np.where(there, ground * metres, 0.0)
-    sigma, narrowing, _, _ = _about(cells, below, sigma_m)
+    sigma, narrowing, _, _ = _about(cells, np.zeros_like(there), below, sigma_m)
     return Surface(_extended(below, there), sigma, narrowing)
 
 
@@ -291,7 +292,7 @@ def _refined(
     cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float
 ) -> tuple[Float64, Float64, Float64]:
     """The surface amid the cells that lie about it, their noise, and how much narrower the band is in plants."""
-    _, _, above, below = _about(cells, surface, sigma_m)
+    _, _, above, below = _about(cells, terrain, surface, sigma_m)
     for k in range(ROUNDS):
         residual = cells.height - surface
         weight = np.where(cells.there & (residual < above) & (residual > -below), 1.0, 0.0)
@@ -301,7 +302,7 @@ def _refined(
         for std_m in SCALES_M:
             mean = smoothed(weight * (cells.height - surface), std_m) / (smoothed(weight, std_m) + FEW)
             surface = surface + np.where(cells.there, mean, 0.0)
-    sigma, narrowing, above, below = _about(cells, surface, sigma_m)
+    sigma, narrowing, above, below = _about(cells, terrain, surface, sigma_m)
     return _to_edges(cells, terrain, surface, sigma, narrowing, above, below), sigma, narrowing
 
 
@@ -325,14 +326,17 @@ def _to_edges(
     return surface
 
 
-def _about(cells: _Cells, surface: Float64, sigma_m: float) -> tuple[Float64, Float64, Float64, Float64]:
+def _about(
+    cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float
+) -> tuple[Float64, Float64, Float64, Float64]:
     """Noise and narrowing of the band of cells that lie about a surface, and how far it extends above and below."""
     slope, residual = _slope(cells, surface), cells.height - surface
     sigma = _noise(cells, residual, sigma_m)
     above = ABOVE_M + ABOVE_SIGMAS * sigma + ABOUT_SLOPE * slope
     below = BELOW_M + BELOW_SIGMAS * sigma + 2 * ABOUT_SLOPE * slope
     on = cells.around(cells.there & (residual > -below) & (residual < above), CONTRAST_M)
-    next_above = cells.around(cells.there & (residual >= above) & (residual < 2 * above), CONTRAST_M)
+    just_above = cells.there & (residual >= above) & (residual < 2 * above)
+    next_above = cells.around(just_above * (1.0 - (1.0 - GAP_TERRAIN) * terrain), CONTRAST_M)
     narrowing = 1.0 - (1.0 - NARROWEST) * _ramp(next_above / np.maximum(on, 1e-3), GAP)
     return sigma, narrowing, above * narrowing, below * (2.0 - narrowing)
 
