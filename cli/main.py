@@ -37,6 +37,7 @@ COMMANDS = {
     "simulate": "A cloud with true labels, and its true terrain.",
     "config": "The effective settings, or a commented file to start from.",
     "warm": "Compile what methods need, before their first run.",
+    "qgis": "The plugin for QGIS: into a profile, or into an archive.",
     "demo": "Simulate a small city, run the whole job on it, score it.",
 }
 """Commands in the order of the help, with its line for each: help must not import them all."""

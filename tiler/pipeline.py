@@ -86,6 +86,7 @@ def run(
         plan, store = _frozen(plan, url)
         job = Job(plan, out, products, store, discreet(listener), Ownership(leases))
         job.facts["products_at"] = products if is_url(products) else None
+        job.facts["given"] = [str(source) for source in inputs]
         job.facts["earlier_outputs"] = earlier_outputs(out, products)
         job.facts["digests"] = earlier_digests(out, products)
         job.save("running")  # before any other file, which is known by it as this run's own

@@ -74,6 +74,7 @@ def arguments(name: str, folder: Path, out: Path) -> list[str]:
         "clean": ["clean", str(done)],
         "simulate": ["simulate", str(out / "scene.laz"), "--size", "300"],
         "config": ["config", "--template"],
+        "qgis": ["qgis", "package", str(out / "plugin.zip")],
         "demo": ["demo", "-o", str(out), "--method", "classic", "--workers", "2"],
     }[name]
 

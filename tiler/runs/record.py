@@ -32,6 +32,7 @@ class Facts(TypedDict, total=False):
     """
 
     products_at: str | None  # URL of OUT, where it is one
+    given: list[str]  # INPUT, as it was called with
     seconds: float
     report: str | None  # name of the report, None where it could not be drawn
     inputs: list[

@@ -1,0 +1,56 @@
+"""``tiler qgis``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from cli.output import say
+from cli.session import TilerCommand
+
+
+@click.group("qgis")
+def command() -> None:
+    """The plugin for QGIS: into a profile, or into an archive.
+
+    It adds tiler to the Processing toolbox of QGIS 3.22 or newer: Run, Preview, Classify, Check, Apply edits.
+    """
+
+
+@command.command("install", cls=TilerCommand)
+@click.option(
+    "--profile",
+    default="default",
+    metavar="NAME",
+    help="profile of QGIS, as Settings > User Profiles shows them [default: default]",
+)
+def install(profile: str) -> None:
+    """Put the plugin into a profile of QGIS.
+
+    An earlier version of it is replaced; a folder that is not the plugin's is left as it is, and that is an error. The
+    plugin is told where this command is, and has its settings. After an update of tiler, do it again.
+    """
+    from cli.qgis import installation
+
+    folder = installation.install(profile)
+    say(f"installed  {folder}")
+    say(
+        "next       start QGIS and tick tiler under Plugins > Manage and Install Plugins > Installed, or, for scripts:"
+    )
+    say("           qgis_process plugins enable tiler_qgis")
+    say("remove     with Uninstall Plugin in the same window, or by deleting that folder")
+
+
+@command.command("package", cls=TilerCommand)
+@click.argument("target", metavar="FILE.zip", type=click.Path(path_type=Path, dir_okay=False))
+def package(target: Path) -> None:
+    """Write the plugin as an archive.
+
+    QGIS installs it under Plugins > Manage and Install Plugins > Install from ZIP. There the plugin looks for tiler in
+    PATH, unless its path is set under Settings > Options > Processing > Providers > tiler.
+    """
+    from cli.qgis import installation
+
+    installation.package(target)
+    say(f"written  {target}; QGIS: Plugins > Manage and Install Plugins > Install from ZIP")

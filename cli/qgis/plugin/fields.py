@@ -1,0 +1,145 @@
+"""The parameters of an algorithm: made from the table, and read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingAlgorithm,
+    QgsProcessingContext,
+    QgsProcessingParameterBoolean,
+    QgsProcessingParameterDefinition,
+    QgsProcessingParameterEnum,
+    QgsProcessingParameterExtent,
+    QgsProcessingParameterFile,
+    QgsProcessingParameterFileDestination,
+    QgsProcessingParameterMultipleLayers,
+    QgsProcessingParameterNumber,
+    QgsProcessingParameterRasterLayer,
+    QgsProcessingParameterString,
+)
+
+from .process import TABLE, absolute
+
+FOLDER = "FOLDER"
+"""Name of the parameter that can stand for the files of ``INPUT``."""
+ALL_FILES = "All files (*)"
+
+
+def make_parameters(spec: dict[str, Any]) -> list[Any]:
+    """What QGIS shows for an entry of the table."""
+    made = [_parameter(spec)]
+    if spec["kind"] == "clouds":
+        label = "... or a folder: all clouds in it and below it"
+        made.append(
+            QgsProcessingParameterFile(
+                FOLDER, label, behavior=QgsProcessingParameterFile.Folder, optional=True
+            )
+        )
+    if spec["kind"] in ("clouds", "files"):
+        filter = TABLE["cloud_files"] if spec["kind"] == "clouds" else ALL_FILES
+        wrapper = {"class": f"{__package__}.widgets.FilesWrapper", "filter": filter}
+        made[0].setMetadata({"widget_wrapper": wrapper})
+    for parameter in made:
+        parameter.setHelp(spec["help"])
+        if spec["advanced"]:
+            parameter.setFlags(parameter.flags() | QgsProcessingParameterDefinition.FlagAdvanced)
+    return made
+
+
+def _parameter(spec: dict[str, Any]) -> Any:
+    name, kind, default = spec["name"], spec["kind"], spec["default"]
+    optional = default is None and not spec["required"]
+    label = spec["label"] + (f" [{spec['unit']}]" if spec["unit"] else "")
+    if kind in ("clouds", "files"):
+        return QgsProcessingParameterMultipleLayers(name, label, QgsProcessing.TypeFile, optional=True)
+    if kind in ("cloud", "file"):
+        filter = TABLE["cloud_files"] if kind == "cloud" else ALL_FILES
+        optional = not spec[
+            "required"
+        ]  # also with a default, which QGIS does not take for the value of a file
+        return QgsProcessingParameterFile(
+            name, label, defaultValue=default, optional=optional, fileFilter=filter
+        )
+    if kind in ("new_folder", "new_plots"):
+        # No FolderDestination: that offers a temporary folder, in which a job that was stopped could not go on.
+        return QgsProcessingParameterFile(
+            name, label, behavior=QgsProcessingParameterFile.Folder, optional=optional
+        )
+    if kind in ("new_picture", "new_cloud"):
+        filter = "PNG (*.png)" if kind == "new_picture" else "LAZ (*.laz);;LAS (*.las)"
+        return QgsProcessingParameterFileDestination(name, label, filter)
+    if kind == "raster":
+        return QgsProcessingParameterRasterLayer(name, label, optional=optional)
+    if kind == "choice":
+        return QgsProcessingParameterEnum(
+            name, label, spec["choices"], False, default, optional, usesStaticStrings=True
+        )
+    if kind == "names":  # by their numbers: QGIS 3.22 loses several names in its dialog
+        return QgsProcessingParameterEnum(
+            name, label, spec["choices"], True, numbers_of_names(spec, default), optional
+        )
+    if kind == "flag":
+        return QgsProcessingParameterBoolean(name, label, default)
+    if kind == "int":
+        number = QgsProcessingParameterNumber(
+            name, label, QgsProcessingParameterNumber.Integer, default, optional=optional or default is None
+        )
+        for limit, put in (("minimum", number.setMinimum), ("maximum", number.setMaximum)):
+            if spec.get(limit) is not None:
+                put(spec[limit])
+        return number
+    if kind == "bounds":
+        return QgsProcessingParameterExtent(name, label, optional=True)
+    return QgsProcessingParameterString(name, label, default, optional=optional)
+
+
+def numbers_of_names(spec: dict[str, Any], value: Any) -> Any:
+    """Places of choices in their list, from names or numbers in a list or behind commas; what is neither stays."""
+    items = (
+        value.split(",") if isinstance(value, str) else value if isinstance(value, (list, tuple)) else [value]
+    )
+    choices = spec["choices"]
+    found = [choices.index(item) if item in choices else item for item in items]
+    return [int(item) if str(item).isdecimal() else item for item in found]
+
+
+def read_value(
+    algorithm: QgsProcessingAlgorithm,
+    spec: dict[str, Any],
+    parameters: dict[str, Any],
+    context: QgsProcessingContext,
+) -> Any:
+    """The value of a parameter as plain Python: paths absolute, None where it is not given; not of an extent."""
+    name, kind = spec["name"], spec["kind"]
+    if parameters.get(name) is None:  # also of what has a default: the command has the same
+        return (
+            algorithm.parameterAsFileOutput(parameters, name, context)
+            if kind in ("new_picture", "new_cloud")
+            else None
+        )
+    if kind in ("clouds", "files"):
+        return [
+            absolute(str(path)) for path in algorithm.parameterAsFileList(parameters, name, context) if path
+        ]
+    if kind in ("cloud", "new_folder", "new_plots"):
+        return absolute(algorithm.parameterAsFile(parameters, name, context))
+    if kind == "file":
+        text = algorithm.parameterAsFile(parameters, name, context)
+        return text if text in ("", "none", "auto") else absolute(text)
+    if kind in ("new_picture", "new_cloud"):
+        return absolute(algorithm.parameterAsFileOutput(parameters, name, context))
+    if kind == "raster":
+        layer = algorithm.parameterAsRasterLayer(parameters, name, context)
+        return absolute(layer.source() if layer is not None else str(parameters[name]))
+    if kind == "names":
+        return [spec["choices"][number] for number in numbers_of_names(spec, parameters[name])]
+    if kind == "choice":
+        return algorithm.parameterAsEnumString(parameters, name, context)
+    if kind == "flag":
+        return algorithm.parameterAsBool(parameters, name, context)
+    if kind == "int":
+        return algorithm.parameterAsInt(parameters, name, context)
+    text = algorithm.parameterAsString(parameters, name, context).strip()
+    return text.split() if kind == "texts" else text

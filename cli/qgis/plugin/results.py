@@ -1,0 +1,252 @@
+"""Results of a run as layers of the project, in a group and in the right order."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Callable, NamedTuple
+
+from qgis.core import (
+    Qgis,
+    QgsMapLayer,
+    QgsPointCloudLayer,
+    QgsProcessingContext,
+    QgsProcessingFeedback,
+    QgsProcessingLayerPostProcessorInterface,
+    QgsProject,
+    QgsProviderRegistry,
+    QgsRasterLayer,
+    QgsVectorFileWriter,
+    QgsVectorLayer,
+)
+
+from . import styles
+from .process import TABLE, CommandError
+
+KEY = "tiler/result"
+"""Property of a layer that says which result of which folder it shows."""
+RANK = "tiler/rank"
+"""Property of an entry in the tree of layers: where it belongs in its group."""
+EDITS_FIELDS = "field=action:string(10)&field=z:double&field=note:string(200)"
+
+_KEPT: list[Any] = []
+"""Post-processors, which QGIS does not keep alive."""
+
+
+class Wanted(NamedTuple):
+    """A layer to be: its name, what makes it, its style, and whether it is switched on."""
+
+    key: str
+    name: str
+    make: Callable[[str], QgsMapLayer]
+    style: Callable[..., None]
+    shown: bool
+
+
+def existing(folder: str, name: str) -> str:
+    """The path of a file in a folder, empty where it is not there."""
+    path = Path(folder) / name
+    return str(path) if path.is_file() else ""
+
+
+def raster(folder: str, name: str) -> str:
+    """The path of a product, in one file or in sheets; empty where it is not there."""
+    return existing(folder, f"{name}.tif") or existing(folder, f"{name}.vrt")
+
+
+def read_record(folder: str) -> dict[str, Any]:
+    """The run.json of a folder; raises CommandError."""
+    path = Path(folder) / "run.json"
+    try:
+        record = json.loads(path.read_text("utf-8"))
+        if not isinstance(record["configuration"], dict):
+            raise TypeError
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CommandError(
+            f"{folder}: holds no results of tiler (run.json cannot be read); name the folder of a run"
+        ) from error
+    return dict(record)
+
+
+def clouds_of(folder: str, record: dict[str, Any]) -> list[str]:
+    """What a run was given as INPUT; raises CommandError where that cannot be found from here."""
+    given = [str(path) for path in record.get("given", ())]
+    if not given or not all("://" in path or Path(path).is_absolute() for path in given):
+        raise CommandError(
+            f"{folder}: its run.json does not say where the clouds are; name those of the run as point clouds"
+        )
+    return given
+
+
+def load_folder(
+    folder: str, incomplete: bool, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+) -> None:
+    """Add what a folder holds to the project; what is there already is read again."""
+    if context.project() is None:
+        return
+    if not Path(folder).is_dir():
+        feedback.pushWarning(f"{folder}: is no folder here, so its results are not added to the project")
+        return
+    group = Path(folder).name + (" (NOT COMPLETE)" if incomplete else "")
+    for rank, wanted in enumerate(_wanted(folder, feedback)):
+        _add(f"{folder}|{wanted.key}", group, rank, wanted, context)
+    _add_clouds(folder, group, context, feedback)
+
+
+def load_cloud(path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
+    """Add a classified cloud to the project, where this QGIS can show one."""
+    provider = _provider_of(path)
+    if context.project() is None:
+        return
+    if not provider:
+        feedback.pushWarning(
+            f"{path}: is not added to the project, as this QGIS ({Qgis.QGIS_VERSION}) cannot show LAS and LAZ"
+        )
+        return
+    wanted = Wanted(
+        path, Path(path).stem, lambda name: QgsPointCloudLayer(path, name, provider), styles.cloud, True
+    )
+    _add(path, "", 0, wanted, context)
+
+
+def _provider_of(path: str) -> str:
+    """What in this QGIS shows such a cloud; empty for nothing."""
+    there = QgsProviderRegistry.instance().providerList()
+    kinds = (
+        ("vpc",) if path.endswith(".vpc") else ("copc", "pdal") if path.endswith(".copc.laz") else ("pdal",)
+    )
+    return next((kind for kind in kinds if kind in there), "")
+
+
+def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
+    """The layers of a folder, from the top of the map to its bottom."""
+    found: list[Wanted] = []
+
+    def vector(name: str, table: str, label: str, style: Callable[..., None]) -> None:
+        path = existing(folder, f"{name}.gpkg")
+        if path and QgsVectorLayer(f"{path}|layername={table}", "", "ogr").isValid():
+            found.append(
+                Wanted(
+                    f"{name}:{table}",
+                    label,
+                    lambda n: QgsVectorLayer(f"{path}|layername={table}", n, "ogr"),
+                    style,
+                    True,
+                )
+            )
+
+    _make_edits(folder, feedback)
+    for table in _tables(existing(folder, "edits.gpkg")):
+        vector("edits", table, "edits", styles.edits)
+    vector("spots", "spots", "spot heights", styles.spots)
+    vector("contours", "contours", "contours", styles.contours)
+    vector("outline", "outline", "outline of the survey", styles.outline)
+    vector("bridges", "bridges", "bridges left out", styles.bridges)
+    vector("water", "flow", "flow of rivers", styles.flow)
+    vector("water", "water", "water", styles.water)
+    terrain = raster(folder, "dtm")
+    if raster(folder, "hillshade"):
+        found.append(_raster(folder, "hillshade", "hillshade", styles.grey_shade, True))
+    elif terrain:
+        found.append(Wanted("shade", "hillshade", lambda n: QgsRasterLayer(terrain, n), styles.shade, True))
+    if raster(folder, "mask"):  # beneath the hillshade, above the heights
+        found.append(_raster(folder, "mask", "where heights come from", styles.mask, False))
+    if terrain:
+        found.append(_raster(folder, "dtm", "terrain", styles.heights, True))
+    rest = (name for name in TABLE["products"] if name not in ("dtm", "hillshade", "mask"))
+    found.extend(_raster(folder, name, name, styles.heights, False) for name in rest if raster(folder, name))
+    return found
+
+
+def _raster(folder: str, name: str, label: str, style: Callable[..., None], shown: bool) -> Wanted:
+    return Wanted(name, label, lambda n: QgsRasterLayer(raster(folder, name), n), style, shown)
+
+
+def _tables(path: str) -> list[str]:
+    """The layers of a GeoPackage."""
+    if not path:
+        return []
+    layer = QgsVectorLayer(path, "", "ogr")
+    return [part.split("!!::!!")[1] for part in layer.dataProvider().subLayers()] if layer.isValid() else []
+
+
+def _make_edits(folder: str, feedback: QgsProcessingFeedback) -> None:
+    """An empty layer for corrections beside the results, unless there is one."""
+    path, terrain = Path(folder) / "edits.gpkg", raster(folder, "dtm")
+    if path.exists() or not terrain:
+        return
+    empty = QgsVectorLayer(f"Polygon?{EDITS_FIELDS}", "edits", "memory")
+    empty.setCrs(QgsRasterLayer(terrain, "").crs())
+    settings = QgsVectorFileWriter.SaveVectorOptions()
+    settings.layerName = "edits"
+    context = QgsProject.instance().transformContext()
+    failed = QgsVectorFileWriter.writeAsVectorFormatV2(empty, str(path), context, settings)
+    if failed[0]:
+        feedback.pushWarning(f"{path}: cannot be written: {failed[1]}")
+
+
+def _add_clouds(
+    folder: str, group: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+) -> None:
+    """The classified clouds as one layer, or why there is none."""
+    path = existing(folder, "classified.vpc")
+    if not path:
+        return
+    provider = _provider_of(path)
+    if not provider:
+        feedback.pushInfo(
+            f"{path}: the classified clouds as one layer, for QGIS 3.32 or newer; this one "
+            f"({Qgis.QGIS_VERSION}) cannot show it"
+        )
+        return
+    wanted = Wanted(
+        "clouds", "classified clouds", lambda n: QgsPointCloudLayer(path, n, provider), styles.cloud, False
+    )
+    _add(f"{folder}|clouds", group, 1000, wanted, context)
+
+
+def _add(key: str, group: str, rank: int, wanted: Wanted, context: QgsProcessingContext) -> None:
+    """Have a layer added when the algorithm is done, or read again if the project has it."""
+    for layer in context.project().mapLayers().values():
+        if layer.customProperty(KEY) == key:
+            layer.dataProvider().reloadData()
+            layer.triggerRepaint()
+            return
+    layer = wanted.make(wanted.name)
+    if not layer.isValid():
+        return
+    layer.setCustomProperty(KEY, key)
+    wanted.style(layer)
+    context.temporaryLayerStore().addMapLayer(layer)
+    details = QgsProcessingContext.LayerDetails(wanted.name, context.project())
+    placer = _Placer(group, rank, wanted.shown)
+    _KEPT.append(placer)
+    details.setPostProcessor(placer)
+    context.addLayerToLoadOnCompletion(layer.id(), details)
+
+
+class _Placer(QgsProcessingLayerPostProcessorInterface):
+    """Puts a layer into its group, below those that belong above it."""
+
+    def __init__(self, group: str, rank: int, shown: bool) -> None:
+        super().__init__()
+        self._group, self._rank, self._shown = group, rank, shown
+
+    def postProcessLayer(
+        self, layer: QgsMapLayer, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> None:
+        """Move the layer within the tree of layers."""
+        root = context.project().layerTreeRoot()
+        node = root.findLayer(layer.id())
+        if node is None:
+            return
+        if self._group:
+            group = root.findGroup(self._group) or root.insertGroup(0, self._group)
+            ranks = [int(other.customProperty(RANK, -1)) for other in group.children()]
+            moved = node.clone()
+            moved.setCustomProperty(RANK, self._rank)
+            group.insertChildNode(sum(rank < self._rank for rank in ranks), moved)
+            node.parent().removeChildNode(node)
+            node = moved
+        node.setItemVisibilityChecked(self._shown)
+        node.setExpanded(False)

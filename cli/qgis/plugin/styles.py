@@ -1,0 +1,202 @@
+"""How the results look, and the forms of the layers that people fill in."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qgis.core import (
+    QgsCategorizedSymbolRenderer,
+    QgsColorRampShader,
+    QgsDefaultValue,
+    QgsEditorWidgetSetup,
+    QgsFillSymbol,
+    QgsGradientColorRamp,
+    QgsGradientStop,
+    QgsHillshadeRenderer,
+    QgsLineSymbol,
+    QgsMarkerSymbol,
+    QgsPalettedRasterRenderer,
+    QgsPalLayerSettings,
+    QgsPointCloudClassifiedRenderer,
+    QgsRasterBandStats,
+    QgsRasterMinMaxOrigin,
+    QgsRasterShader,
+    QgsRendererCategory,
+    QgsRuleBasedLabeling,
+    QgsSingleBandGrayRenderer,
+    QgsSingleBandPseudoColorRenderer,
+    QgsSingleSymbolRenderer,
+    QgsTextBufferSettings,
+    QgsTextFormat,
+)
+from qgis.PyQt.QtGui import QColor, QPainter
+
+from .process import TABLE
+
+GREEN_TO_WHITE = ((0.0, "#5b8c5a"), (0.25, "#a9bf7a"), (0.5, "#e8dca0"), (0.75, "#b98b5e"), (1.0, "#f4f1ee"))
+"""Heights, low to high."""
+ACTIONS = {
+    "not_ground": ("not_ground: no point inside is ground", "#d1495b"),
+    "ground": ("ground: the points inside are ground", "#8a5a2b"),
+    "void": ("void: no height inside", "#555555"),
+    "flat": ("flat: the height of column z inside", "#2a6f97"),
+}
+WATERS = ("lake", "pond", "reservoir", "basin", "sea", "lagoon", "river", "stream", "canal", "ditch")
+CUT = 0.01
+"""Share of the lowest and of the highest heights that have the colours of the ends."""
+BRIGHTER = 50
+"""Of a hillshade, 0 to 255: flat ground keeps its colour nearly."""
+SAMPLE_PIXELS = 250_000
+
+
+def heights(layer: Any) -> None:
+    """Colours from low to high, beneath the hillshade."""
+    provider = layer.dataProvider()
+    low, high = provider.cumulativeCut(1, CUT, 1 - CUT, layer.extent(), SAMPLE_PIXELS)
+    if not low < high:
+        found = provider.bandStatistics(1, QgsRasterBandStats.All, layer.extent(), SAMPLE_PIXELS)
+        low, high = found.minimumValue, max(found.maximumValue, found.minimumValue + 1e-3)
+    stops = [QgsGradientStop(at, QColor(colour)) for at, colour in GREEN_TO_WHITE[1:-1]]
+    ramp = QgsGradientColorRamp(QColor(GREEN_TO_WHITE[0][1]), QColor(GREEN_TO_WHITE[-1][1]), False, stops)
+    function = QgsColorRampShader(
+        low, high, ramp, QgsColorRampShader.Interpolated, QgsColorRampShader.Continuous
+    )
+    function.classifyColorRamp(5, 1, layer.extent(), provider)
+    shader = QgsRasterShader()
+    shader.setRasterShaderFunction(function)
+    renderer = QgsSingleBandPseudoColorRenderer(provider, 1, shader)
+    renderer.setClassificationMin(low)
+    renderer.setClassificationMax(high)
+    layer.setRenderer(renderer)
+
+
+def shade(layer: Any) -> None:
+    """The terrain as a hillshade that darkens what lies beneath."""
+    renderer = QgsHillshadeRenderer(layer.dataProvider(), 1, 315.0, 45.0)
+    renderer.setMultiDirectional(True)
+    layer.setRenderer(renderer)
+    layer.brightnessFilter().setBrightness(BRIGHTER)
+    layer.setBlendMode(QPainter.CompositionMode_Multiply)
+
+
+def grey_shade(layer: Any) -> None:
+    """A hillshade that is a file."""
+    renderer = QgsSingleBandGrayRenderer(layer.dataProvider(), 1)
+    layer.setRenderer(renderer)
+    layer.setContrastEnhancement(algorithm=1, limits=QgsRasterMinMaxOrigin.MinMax)
+    layer.setBlendMode(QPainter.CompositionMode_Multiply)
+
+
+def mask(layer: Any) -> None:
+    """The classes with their colours and names; what is outside shows nothing."""
+    classes = [
+        QgsPalettedRasterRenderer.Class(
+            entry["value"], QColor(*entry["colour"], 255 if entry["value"] else 0), entry["label"]
+        )
+        for entry in TABLE["mask"]
+    ]
+    layer.setRenderer(QgsPalettedRasterRenderer(layer.dataProvider(), 1, classes))
+
+
+def cloud(layer: Any) -> None:
+    """Points by class."""
+    categories = QgsPointCloudClassifiedRenderer.defaultCategories()
+    layer.setRenderer(QgsPointCloudClassifiedRenderer("Classification", categories))
+
+
+def outline(layer: Any) -> None:
+    """A line, nothing inside."""
+    style = {"color": "0,0,0,0", "outline_color": "#222222", "outline_width": "0.5", "outline_style": "dash"}
+    layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(style)))
+
+
+def bridges(layer: Any) -> None:
+    """Red, as they are not in the terrain."""
+    style = {"color": "209,73,91,60", "outline_color": "#d1495b", "outline_width": "0.4"}
+    layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(style)))
+
+
+def water(layer: Any) -> None:
+    """Blue; in the form the kind is a list."""
+    style = {"color": "70,130,200,120", "outline_color": "#2a6f97", "outline_width": "0.3"}
+    layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(style)))
+    _list(layer, "kind", {kind: kind for kind in WATERS})
+
+
+def flow(layer: Any) -> None:
+    """Along the middle of rivers."""
+    layer.setRenderer(
+        QgsSingleSymbolRenderer(QgsLineSymbol.createSimple({"color": "#1d4e89", "width": "0.4"}))
+    )
+
+
+def contours(layer: Any) -> None:
+    """Every fifth line stronger, with its height."""
+    thin, strong = ({"color": "#7a5c3a", "width": width} for width in ("0.15", "0.4"))
+    categories = [
+        QgsRendererCategory(value, QgsLineSymbol.createSimple(style), label)
+        for value, style, label in ((True, strong, "index"), (False, thin, "contour"))
+    ]
+    layer.setRenderer(QgsCategorizedSymbolRenderer("index", categories))
+    _label(layer, "elevation", '"index"', QgsPalLayerSettings.Curved)
+
+
+def spots(layer: Any) -> None:
+    """Dots with their height."""
+    dot = {"name": "circle", "size": "1.2", "color": "#222222", "outline_style": "no"}
+    layer.setRenderer(QgsSingleSymbolRenderer(QgsMarkerSymbol.createSimple(dot)))
+    _label(layer, "elevation", "", QgsPalLayerSettings.OrderedPositionsAroundPoint)
+
+
+def edits(layer: Any) -> None:
+    """By action; in the form this is a list, and z has a name."""
+    categories = []
+    for action, (label, colour) in ACTIONS.items():
+        fill = QColor(colour)
+        style = {
+            "color": f"{fill.red()},{fill.green()},{fill.blue()},70",
+            "outline_color": colour,
+            "outline_width": "0.5",
+        }
+        categories.append(QgsRendererCategory(action, QgsFillSymbol.createSimple(style), label))
+    layer.setRenderer(QgsCategorizedSymbolRenderer("action", categories))
+    _list(layer, "action", {label: action for action, (label, _) in ACTIONS.items()})
+    place = layer.fields().indexOf("action")
+    if place >= 0:
+        layer.setDefaultValueDefinition(place, QgsDefaultValue("'not_ground'"))
+    place = layer.fields().indexOf("z")
+    if place >= 0:
+        layer.setFieldAlias(place, "z: height, for flat")
+    place = layer.fields().indexOf("fid")
+    if place >= 0:
+        layer.setEditorWidgetSetup(place, QgsEditorWidgetSetup("Hidden", {}))
+
+
+def _list(layer: Any, name: str, values: dict[str, str]) -> None:
+    """Let a column be chosen from a list in the form."""
+    place = layer.fields().indexOf(name)
+    if place >= 0:
+        entries = [{label: value} for label, value in values.items()]
+        layer.setEditorWidgetSetup(place, QgsEditorWidgetSetup("ValueMap", {"map": entries}))
+
+
+def _label(layer: Any, column: str, filter: str, placement: Any) -> None:
+    """Write a height at each feature."""
+    settings = QgsPalLayerSettings()
+    settings.fieldName = f'round("{column}", 2)'
+    settings.isExpression = True
+    settings.placement = placement
+    text, halo = QgsTextFormat(), QgsTextBufferSettings()
+    text.setSize(8)
+    text.setColor(QColor("#4a3520"))
+    halo.setEnabled(True)
+    halo.setSize(0.7)
+    text.setBuffer(halo)
+    settings.setFormat(text)
+    rule = QgsRuleBasedLabeling.Rule(settings)
+    if filter:
+        rule.setFilterExpression(filter)
+    root = QgsRuleBasedLabeling.Rule(None)
+    root.appendChild(rule)
+    layer.setLabeling(QgsRuleBasedLabeling(root))
+    layer.setLabelsEnabled(True)

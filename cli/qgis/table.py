@@ -1,0 +1,127 @@
+"""The settings of the QGIS plugin, made from the commands: names, units, defaults, choices and help."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import click
+
+from cli.main import COMMANDS
+from cli.options import SETTINGS, default_text
+from tiler.config import RunConfig
+from tiler.core.products import PRODUCTS
+from tiler.version import __version__
+
+SHELLS = ("run", "preview", "classify", "check")
+"""Commands that are algorithms."""
+NOT_IN_QGIS = {"as_json", "progress", "verbose", "quiet", "in_process"}
+"""Options that QGIS decides, or that are for people who debug."""
+PLACES = {"inputs": "INPUT", "source": "INPUT", "dtm": "INPUT", "out": "OUTPUT", "target": "OUTPUT"}
+"""Parameters of commands that are places, by the names that QGIS has for these."""
+KINDS = {("run", "out"): "new_folder", ("preview", "out"): "new_picture", ("classify", "target"): "new_cloud",
+         ("run", "inputs"): "clouds", ("preview", "inputs"): "clouds", ("classify", "source"): "cloud",
+         ("check", "dtm"): "raster", ("check", "figures"): "new_plots"}  # fmt: skip
+SHOWN_FIRST = {
+    "preset", "method", "products", "resolution", "classified", "voids", "water", "bridges", "edits", "breaklines",
+    "crs", "bounds", "aoi", "units", "windows", "size", "points", "points_crs", "require", "keep_classes",
+}  # fmt: skip
+"""Settings that are no advanced parameters."""
+_CONFIG_DEFAULTS = RunConfig().to_json()
+LABELS = {
+    "INPUT": "Point clouds", "OUTPUT": "Folder of the results", "CONFIG": "File with settings (TOML)",
+    "AOI": "Area (polygons)", "SET": "Parameters of the method (name=value)", "CRS": "CRS of clouds that have none",
+    "BOUNDS": "Extent", "POINTS": "Checkpoints", "POINTS_CRS": "CRS of the checkpoints",
+    "POINTS_UNIT": "Unit of the checkpoints' heights", "POINTS_RMSE": "RMSE of the checkpoints' heights",
+    "REQUIRE": "Required (name=value)", "FIGURES": "Folder for plots", "KIND": "What made the cloud",
+    "STRIPS": "Classified clouds whose flight strips are compared", "HALO": "Halo of a tile",
+    "WATER_MIN_LAKE": "Smallest lake", "WATER_MIN_RIVER_WIDTH": "Smallest river (width)",
+    "WATER_MIN_ISLAND": "Smallest island", "SIGMA": "Noise of heights (standard deviation)",
+}  # fmt: skip
+LABELS_OF = {
+    "preview": {"OUTPUT": "Picture", "SIZE": "Side of a window", "WINDOWS": "Windows, at most"},
+    "classify": {"INPUT": "Point cloud", "OUTPUT": "Classified cloud"},
+    "check": {"INPUT": "Terrain model"},
+}
+CLOUD_FILES = "Point clouds (*.laz *.las *.vpc *.LAZ *.LAS *.json);;All files (*)"
+
+
+def table() -> dict[str, Any]:
+    """All that the plugin has to know of this version, as JSON can hold it."""
+    return {
+        "version": __version__,
+        "cloud_files": CLOUD_FILES,
+        "products": list(PRODUCTS),
+        "mask": [
+            {"value": value, "colour": list(PRODUCTS["mask"].colours[value]), "label": label}
+            for value, label in PRODUCTS["mask"].values.items()
+        ],
+        "commands": {name: _command(name) for name in SHELLS},
+    }
+
+
+def _command(name: str) -> dict[str, Any]:
+    command: click.Command = importlib.import_module(f"cli.commands.{name}").command
+    parameters = [_parameter(name, p) for p in command.params if p.name not in NOT_IN_QGIS]
+    return {"summary": COMMANDS[name], "help": command.help, "parameters": parameters}
+
+
+def _parameter(command: str, parameter: click.Parameter) -> dict[str, Any]:
+    key = str(parameter.name)
+    option = "" if isinstance(parameter, click.Argument) else parameter.opts[-1]
+    name = PLACES.get(key) or option.removeprefix("--").replace("-", "_").upper()
+    label = LABELS_OF.get(command, {}).get(name) or LABELS.get(name) or name.replace("_", " ").capitalize()
+    facts: dict[str, Any] = {
+        "name": name, "key": key, "label": label, "option": option, "required": parameter.required, "unit": "",
+        "advanced": key not in SHOWN_FIRST and key not in PLACES, "help": "", "choices": [], "default": None,
+        "config_default": None,
+    }  # fmt: skip
+    if key in SETTINGS:
+        return facts | _from_setting(key)
+    kind = KINDS.get((command, key)) or _kind(parameter)
+    facts |= {"kind": kind, "help": getattr(parameter, "help", None) or ""}
+    # Of a place the default is a file in the working folder, which in QGIS means nothing.
+    if parameter.default is not None and isinstance(parameter.default, str | int) and key not in PLACES:
+        facts["default"] = parameter.default
+    if isinstance(parameter.type, click.IntRange):
+        facts["minimum"], facts["maximum"] = parameter.type.min, parameter.type.max
+    return facts
+
+
+def _from_setting(key: str) -> dict[str, Any]:
+    spec = SETTINGS[key]
+    kind, choices = spec.metadata["kind"], list(spec.metadata["choices"])
+    if key == "method":
+        from ptd.methods import METHODS
+
+        kind, choices = "choice", [*METHODS, "keep"]
+    elif key == "preset":
+        from tiler.config.presets import preset_names
+
+        kind, choices = "choice", list(preset_names())
+    elif kind == "pairs":
+        kind = "texts"
+    default: Any = default_text(spec) or None
+    value: Any = spec.default
+    if kind == "flag":
+        default = bool(value)
+    elif kind == "int":
+        default = value
+    elif kind == "names":
+        default = list(value)
+    return {
+        "kind": kind,
+        "choices": choices,
+        "default": default,
+        "config_default": _CONFIG_DEFAULTS[key],
+        "unit": spec.metadata["unit"],
+        "help": spec.metadata["help"],
+    }
+
+
+def _kind(parameter: click.Parameter) -> str:
+    if isinstance(parameter.type, click.Path):
+        return "files" if parameter.multiple else "file"
+    if parameter.multiple:
+        return "texts"
+    return "int" if isinstance(parameter.type, click.IntRange | click.types.IntParamType) else "text"

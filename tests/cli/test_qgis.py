@@ -1,0 +1,227 @@
+"""The plugin for QGIS without QGIS: its table, its folder and archive, and what it does with the command."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import importlib
+import json
+import sys
+import threading
+import zipfile
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import click
+import pytest
+
+from cli.main import main
+from cli.options import SETTINGS, read_config
+from cli.qgis import installation
+from cli.qgis.table import NOT_IN_QGIS, SHELLS, table
+from tiler.config import RunConfig
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted((ROOT / "cli/qgis/plugin").glob("*.py"))
+LINE = '{"stage": null, "title": "read", "progress": 0.5, "message": null, "level": "info"}'
+
+
+@pytest.fixture
+def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder of the plugins of a profile of its own."""
+    monkeypatch.setenv("QGIS_CUSTOM_CONFIG_PATH", str(tmp_path))
+    return tmp_path / "profiles/default/python/plugins"
+
+
+@pytest.fixture
+def process(plugins: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The plugin's module `process`, as it is installed."""
+    assert main(["qgis", "install"]) == 0
+    monkeypatch.syspath_prepend(str(plugins))
+    for name in [name for name in sys.modules if name.split(".")[0] == installation.FOLDER]:
+        monkeypatch.delitem(sys.modules, name)
+    return importlib.import_module(f"{installation.FOLDER}.process")
+
+
+def test_every_option_is_there_with_the_words_of_the_command_line() -> None:
+    for name in SHELLS:
+        command: click.Command = importlib.import_module(f"cli.commands.{name}").command
+        entries = {entry["key"]: entry for entry in table()["commands"][name]["parameters"]}
+        assert entries.keys() == {str(p.name) for p in command.params} - NOT_IN_QGIS
+        for key in entries.keys() & SETTINGS.keys():
+            metadata = SETTINGS[key].metadata
+            assert (entries[key]["help"], entries[key]["unit"]) == (metadata["help"], metadata["unit"])
+            assert set(metadata["choices"]) <= set(entries[key]["choices"])
+
+
+def test_settings_of_a_run_become_the_same_settings(process: ModuleType) -> None:
+    """By way of run.json and the options that the plugin makes of it."""
+    given: dict[str, Any] = {
+        "preset": "usgs", "method": "classic", "parameters": ["max_building_size_m=40"], "products": "dtm,mask",
+        "resolution": "3ft", "voids": "mark", "breaklines": ["a.gpkg", "b.gpkg"], "keep_classes": "none",
+        "bounds": (-1.5, 2.0, 3.0, 4.25), "skip_overlap": True, "workers": 3, "nodata": "-32768", "memory": "2GiB",
+    }  # fmt: skip
+    config = RunConfig.from_mapping(given)
+    options = process.options_of_config("run", json.loads(json.dumps(config.to_json())))
+    command: click.Command = importlib.import_module("cli.commands.run").command
+    parsed = command.make_context("run", [*options, "-o", "out", "a.laz"]).params
+    assert read_config(parsed) == config.updated(preset=None)
+    assert process.options_of_config("run", RunConfig().to_json()) == []
+
+
+def test_what_is_left_at_its_default_is_not_given(process: ModuleType) -> None:
+    for entry in process.TABLE["commands"]["run"]["parameters"]:
+        assert process.options(entry, entry["default"]) == []
+        assert process.options(entry, None) == []
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.name)
+def test_runs_on_the_python_of_old_qgis_and_imports_nothing_else(path: Path) -> None:
+    tree = ast.parse(path.read_text("utf-8"), feature_version=(3, 9))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [name.name for name in node.names]
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            names = [node.module or ""]
+        else:
+            continue
+        assert {name.split(".")[0] for name in names} <= {*sys.stdlib_module_names, "qgis", "processing"}
+
+
+def test_an_archive_that_qgis_takes_and_that_is_always_the_same(tmp_path: Path) -> None:
+    packages = [tmp_path / "a.zip", tmp_path / "b.zip"]
+    for package in (*packages, packages[1]):
+        assert main(["qgis", "package", str(package)]) == 0
+    assert packages[0].read_bytes() == packages[1].read_bytes()
+    with zipfile.ZipFile(packages[0]) as archive:
+        assert {name.split("/")[0] for name in archive.namelist()} == {installation.FOLDER}
+        metadata = configparser.ConfigParser()
+        metadata.read_string(archive.read(f"{installation.FOLDER}/metadata.txt").decode())
+        content = json.loads(archive.read(f"{installation.FOLDER}/settings.json"))
+        assert {Path(name).name for name in archive.namelist()} == {
+            *(p.name for p in SOURCES),
+            "metadata.txt",
+            "settings.json",
+        }
+    general = metadata["general"]
+    assert {
+        "name",
+        "qgisMinimumVersion",
+        "description",
+        "about",
+        "version",
+        "author",
+        "email",
+    } <= general.keys()
+    assert general["hasProcessingProvider"] == "yes"
+    assert general["version"] == content["version"]
+    assert content["command"] == "", "another machine has it elsewhere"
+
+
+def test_no_foreign_archive_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    foreign = tmp_path / "a.zip"
+    foreign.write_bytes(b"mine")
+    assert main(["qgis", "package", str(foreign)]) == 2
+    assert foreign.read_bytes() == b"mine"
+    assert capsys.readouterr().err.startswith(f"tiler: error: {foreign}: is there and no package")
+
+
+def test_installed_again_over_an_earlier_version(plugins: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["qgis", "install"]) == 0
+    told = capsys.readouterr().out
+    folder = plugins / installation.FOLDER
+    assert str(folder) in told
+    assert "remove" in told
+    names = {p.name for p in folder.iterdir()}
+    content = json.loads((folder / "settings.json").read_text())
+    assert Path(content["command"]).name == "tiler"
+    (folder / "old.py").write_text("of an earlier version")
+    (folder / "settings.json").write_text(
+        json.dumps({**content, "files": [*content["files"], "old.py", "../x"]})
+    )
+    (folder / "mine.txt").write_text("of the user")
+    (folder / "styles.py").write_text("damaged")
+    assert main(["qgis", "install"]) == 0
+    assert {p.name for p in folder.iterdir()} == {*names, "mine.txt"}
+    assert (folder / "styles.py").read_bytes() == (ROOT / "cli/qgis/plugin/styles.py").read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["folder", "link", "file"])
+def test_no_foreign_folder_is_touched(
+    kind: str, plugins: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = plugins / installation.FOLDER
+    other = folder if kind == "folder" else tmp_path / "checkout"
+    if kind != "file":
+        other.mkdir(parents=True)
+        (other / "metadata.txt").write_text("mine")
+    plugins.mkdir(parents=True, exist_ok=True)
+    if kind == "link":
+        folder.symlink_to(other)
+    elif kind == "file":
+        folder.write_text("mine")
+    assert main(["qgis", "install"]) == 2
+    assert "did not write it; remove or rename it first" in capsys.readouterr().err
+    assert (folder if kind == "file" else other / "metadata.txt").read_text() == "mine"
+    assert kind == "file" or [p.name for p in other.iterdir()] == ["metadata.txt"]
+
+
+def test_an_unknown_profile_is_named(plugins: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (plugins.parents[2] / "work").mkdir(parents=True)
+    assert main(["qgis", "install", "--profile", "wrok"]) == 2
+    error = capsys.readouterr().err
+    assert "no profile 'wrok' of QGIS, there are: work" in error
+    assert main(["qgis", "install", "--profile", "work"]) == 0
+
+
+def script(path: Path, text: str) -> list[str]:
+    """A command that stands in for ``tiler``."""
+    path.write_text(text)
+    return ["sh", str(path)]
+
+
+def test_a_command_is_found_or_one_line_says_what_to_do(
+    process: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for configured, where in (("", "in PATH"), ("/none/tiler", "at /none/tiler")):
+        with pytest.raises(process.CommandError, match=f"the command tiler is not {where}; install it"):
+            process.find_command(configured)
+    local = tmp_path / ".local/bin/tiler"
+    local.parent.mkdir(parents=True)
+    local.touch(0o755)
+    assert process.find_command("") == str(local)
+
+
+def test_what_a_command_says_is_passed_on(
+    process: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PROJ_LIB", "/of/qgis")
+    told: list[dict[str, Any]] = []
+    call = script(tmp_path / "a", f"echo '{LINE}' >&2; echo ${{PROJ_LIB:-unset}}; echo odd >&2; exit 5")
+    ended = process.run_command(call, told.append, lambda: False)
+    assert (ended.code, ended.text, ended.cancelled) == (5, "unset\n", False)
+    assert [event["message"] for event in told] == [None, "odd"]
+    assert told[0]["progress"] == 0.5
+
+
+@pytest.mark.parametrize(
+    "line", ['{"level": "error", "message": "tiler: error: no such file"}', "tiler: error: no such file"]
+)
+def test_an_error_is_the_line_of_the_command(line: str, process: ModuleType, tmp_path: Path) -> None:
+    with pytest.raises(process.CommandError, match=r"^no such file$"):
+        process.run_command(
+            script(tmp_path / "a", f"echo '{line}' >&2; exit 3"), lambda event: None, lambda: False
+        )
+    with pytest.raises(process.CommandError, match="ended with code 137 and said nothing"):
+        process.run_command(script(tmp_path / "b", "exit 137"), lambda event: None, lambda: False)
+
+
+def test_cancel_tells_the_command_and_waits_for_its_end(process: ModuleType, tmp_path: Path) -> None:
+    begun, stop = threading.Event(), tmp_path / "stopped"
+    text = f"trap 'sleep 0.2; touch {stop}; exit 130' TERM\necho '{LINE}' >&2\nwhile :; do sleep 0.05; done"
+    ended = process.run_command(script(tmp_path / "a", text), lambda event: begun.set(), begun.is_set)
+    assert ended.cancelled
+    assert stop.exists()
