@@ -76,7 +76,7 @@ def _parameter(command: str, parameter: click.Parameter) -> dict[str, Any]:
         "advanced": key not in SHOWN_FIRST and key not in PLACES, "help": "", "choices": [], "default": None,
         "config_default": None,
     }  # fmt: skip
-    if key in SETTINGS:
+    if key in SETTINGS and _is_setting(parameter):
         return facts | _from_setting(key)
     kind = KINDS.get((command, key)) or _kind(parameter)
     facts |= {"kind": kind, "help": getattr(parameter, "help", None) or ""}
@@ -86,6 +86,12 @@ def _parameter(command: str, parameter: click.Parameter) -> dict[str, Any]:
     if isinstance(parameter.type, click.IntRange):
         facts["minimum"], facts["maximum"] = parameter.type.min, parameter.type.max
     return facts
+
+
+def _is_setting(parameter: click.Parameter) -> bool:
+    """Whether an option with the name of a setting is that setting: that of `tiler check --tile-size` is another."""
+    help: str = SETTINGS[str(parameter.name)].metadata["help"]
+    return (getattr(parameter, "help", None) or "").startswith(help.split(" [")[0])
 
 
 def _from_setting(key: str) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def test_every_command_works(page: Path, tmp_path: Path) -> None:
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", text.replace(PORT, port)],
             cwd=folder,
-            env={**environment(), "PATH": path},
+            env={**environment(), "PATH": path, "QGIS_CUSTOM_CONFIG_PATH": str(tmp_path / "qgis")},
             capture_output=True,
             text=True,
             check=False,

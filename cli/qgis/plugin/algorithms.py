@@ -35,6 +35,13 @@ from .fields import FOLDER, make_parameters, numbers_of_names, read_value
 from .process import PARTIAL, TABLE, CommandError, Ended, absolute
 
 LOAD = "LOAD"
+COMMAND = "TILER_COMMAND"
+"""Name of the setting in the options of Processing."""
+
+
+def find_command() -> str:
+    """The path of ``tiler``: the one of the options, else that of the installation, else one in ``PATH``."""
+    return process.find_command(ProcessingConfig.getSetting(COMMAND) or TABLE["command"])
 
 
 class Shell(QgsProcessingAlgorithm):
@@ -114,7 +121,7 @@ class Shell(QgsProcessingAlgorithm):
 
     def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
         """What the command is called with."""
-        arguments = [process.find_command(ProcessingConfig.getSetting("TILER_COMMAND") or ""), self.command]
+        arguments = [find_command(), self.command]
         places: list[str] = []
         extent: list[str] = []
         for spec in self.specs():
@@ -194,12 +201,12 @@ class Shell(QgsProcessingAlgorithm):
         """What the algorithm gives."""
         return {"OUTPUT": self._place}
 
-    def show_page(self, path: str, feedback: QgsProcessingFeedback) -> None:
+    def show_page(self, path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
         """Put a page into the viewer of results.
 
         It is no output of type HTML: of these QGIS says that they were made, also where the algorithm failed.
         """
-        if path:
+        if path and context.project() is not None:
             resultsList.addResult(self.icon(), self.displayName(), time.localtime(), path)
             feedback.pushInfo(f"{path}: see Processing > Results Viewer")
 
@@ -253,7 +260,7 @@ class Run(Shell):
         """Add the results to the project."""
         if self.to_load:
             results.load_folder(self._place, self._ended.code == PARTIAL, context, feedback)
-            self.show_page(results.existing(self._place, "report.html"), feedback)
+            self.show_page(results.existing(self._place, "report.html"), context, feedback)
         return {}
 
 
@@ -313,7 +320,7 @@ class ApplyEdits(Run):
         record = results.read_record(self._place)
         given = [path for path in self.parameterAsFileList(parameters, "INPUT", context) if path]
         return [
-            process.find_command(ProcessingConfig.getSetting("TILER_COMMAND") or ""),
+            find_command(),
             "run",
             *process.options_of_config("run", {**record["configuration"], "edits": None}),
             "--edits",
@@ -360,7 +367,7 @@ class Preview(Shell):
         self, context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> dict[str, Any]:
         """Show the page."""
-        self.show_page(self._page, feedback)
+        self.show_page(self._page, context, feedback)
         return {}
 
 
@@ -408,7 +415,7 @@ class Check(Shell):
         self, context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> dict[str, Any]:
         """Show the page."""
-        self.show_page(self._page, feedback)
+        self.show_page(self._page, context, feedback)
         return {}
 
 

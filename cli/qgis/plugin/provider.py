@@ -5,11 +5,8 @@ from __future__ import annotations
 from processing.core.ProcessingConfig import ProcessingConfig, Setting
 from qgis.core import QgsApplication, QgsProcessingProvider
 
-from .algorithms import ApplyEdits, Check, Classify, Preview, Run
+from .algorithms import COMMAND, ApplyEdits, Check, Classify, Preview, Run
 from .process import TABLE
-
-COMMAND = "TILER_COMMAND"
-"""Name of the setting in the options of Processing."""
 
 
 class Plugin:
@@ -52,13 +49,9 @@ class Provider(QgsProcessingProvider):
     def load(self) -> bool:
         """Add the setting and the algorithms."""
         ProcessingConfig.settingIcons[self.name()] = self.icon()
-        setting = Setting(
-            self.name(),
-            COMMAND,
-            "Path of the command tiler (empty: that of PATH)",
-            TABLE.get("command", ""),
-            valuetype=Setting.STRING,
-        )
+        # Empty at first: QGIS keeps what it shows there, which would be in the way of a later installation.
+        label = f"Path of the command tiler (empty: {TABLE['command'] or 'that of PATH'})"
+        setting = Setting(self.name(), COMMAND, label, "", valuetype=Setting.STRING)
         ProcessingConfig.addSetting(setting)
         ProcessingConfig.readSettings()
         self.refreshAlgorithms()

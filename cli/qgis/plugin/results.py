@@ -24,9 +24,10 @@ from . import styles
 from .process import TABLE, CommandError
 
 KEY = "tiler/result"
-"""Property of a layer that says which result of which folder it shows."""
+"""Property of a layer that says which result of which folder it shows, and of a group which folder."""
 RANK = "tiler/rank"
 """Property of an entry in the tree of layers: where it belongs in its group."""
+LOWEST = 1000
 EDITS_FIELDS = "field=action:string(10)&field=z:double&field=note:string(200)"
 
 _KEPT: list[Any] = []
@@ -87,10 +88,13 @@ def load_folder(
     if not Path(folder).is_dir():
         feedback.pushWarning(f"{folder}: is no folder here, so its results are not added to the project")
         return
-    group = Path(folder).name + (" (NOT COMPLETE)" if incomplete else "")
+    title = Path(folder).name + (" (NOT COMPLETE)" if incomplete else "")
+    group = _group_of(context.project().layerTreeRoot(), folder)
+    if group is not None:
+        group.setName(title)
     for rank, wanted in enumerate(_wanted(folder, feedback)):
-        _add(f"{folder}|{wanted.key}", group, rank, wanted, context)
-    _add_clouds(folder, group, context, feedback)
+        _add(f"{folder}|{wanted.key}", folder, title, rank, wanted, context)
+    _add_clouds(folder, title, context, feedback)
 
 
 def load_cloud(path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
@@ -106,7 +110,7 @@ def load_cloud(path: str, context: QgsProcessingContext, feedback: QgsProcessing
     wanted = Wanted(
         path, Path(path).stem, lambda name: QgsPointCloudLayer(path, name, provider), styles.cloud, True
     )
-    _add(path, "", 0, wanted, context)
+    _add(path, "", "", 0, wanted, context)
 
 
 def _provider_of(path: str) -> str:
@@ -180,13 +184,13 @@ def _make_edits(folder: str, feedback: QgsProcessingFeedback) -> None:
     settings = QgsVectorFileWriter.SaveVectorOptions()
     settings.layerName = "edits"
     context = QgsProject.instance().transformContext()
-    failed = QgsVectorFileWriter.writeAsVectorFormatV2(empty, str(path), context, settings)
+    failed = QgsVectorFileWriter.writeAsVectorFormatV3(empty, str(path), context, settings)
     if failed[0]:
         feedback.pushWarning(f"{path}: cannot be written: {failed[1]}")
 
 
 def _add_clouds(
-    folder: str, group: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    folder: str, title: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback
 ) -> None:
     """The classified clouds as one layer, or why there is none."""
     path = existing(folder, "classified.vpc")
@@ -202,10 +206,10 @@ def _add_clouds(
     wanted = Wanted(
         "clouds", "classified clouds", lambda n: QgsPointCloudLayer(path, n, provider), styles.cloud, False
     )
-    _add(f"{folder}|clouds", group, 1000, wanted, context)
+    _add(f"{folder}|clouds", folder, title, LOWEST, wanted, context)
 
 
-def _add(key: str, group: str, rank: int, wanted: Wanted, context: QgsProcessingContext) -> None:
+def _add(key: str, folder: str, title: str, rank: int, wanted: Wanted, context: QgsProcessingContext) -> None:
     """Have a layer added when the algorithm is done, or read again if the project has it."""
     for layer in context.project().mapLayers().values():
         if layer.customProperty(KEY) == key:
@@ -219,18 +223,18 @@ def _add(key: str, group: str, rank: int, wanted: Wanted, context: QgsProcessing
     wanted.style(layer)
     context.temporaryLayerStore().addMapLayer(layer)
     details = QgsProcessingContext.LayerDetails(wanted.name, context.project())
-    placer = _Placer(group, rank, wanted.shown)
+    placer = _Placer(folder, title, rank, wanted.shown)
     _KEPT.append(placer)
     details.setPostProcessor(placer)
     context.addLayerToLoadOnCompletion(layer.id(), details)
 
 
 class _Placer(QgsProcessingLayerPostProcessorInterface):
-    """Puts a layer into its group, below those that belong above it."""
+    """Puts a layer into the group of its folder, below those that belong above it."""
 
-    def __init__(self, group: str, rank: int, shown: bool) -> None:
+    def __init__(self, folder: str, title: str, rank: int, shown: bool) -> None:
         super().__init__()
-        self._group, self._rank, self._shown = group, rank, shown
+        self._folder, self._title, self._rank, self._shown = folder, title, rank, shown
 
     def postProcessLayer(
         self, layer: QgsMapLayer, context: QgsProcessingContext, feedback: QgsProcessingFeedback
@@ -240,8 +244,11 @@ class _Placer(QgsProcessingLayerPostProcessorInterface):
         node = root.findLayer(layer.id())
         if node is None:
             return
-        if self._group:
-            group = root.findGroup(self._group) or root.insertGroup(0, self._group)
+        if self._folder:
+            group = _group_of(root, self._folder)
+            if group is None:
+                group = root.insertGroup(0, self._title)
+                group.setCustomProperty(KEY, self._folder)
             ranks = [int(other.customProperty(RANK, -1)) for other in group.children()]
             moved = node.clone()
             moved.setCustomProperty(RANK, self._rank)
@@ -250,3 +257,8 @@ class _Placer(QgsProcessingLayerPostProcessorInterface):
             node = moved
         node.setItemVisibilityChecked(self._shown)
         node.setExpanded(False)
+
+
+def _group_of(root: Any, folder: str) -> Any:
+    """The group with the results of a folder, None where there is none yet."""
+    return next((group for group in root.findGroups() if group.customProperty(KEY) == folder), None)

@@ -18,8 +18,6 @@ from qgis.core import (
     QgsPalettedRasterRenderer,
     QgsPalLayerSettings,
     QgsPointCloudClassifiedRenderer,
-    QgsRasterBandStats,
-    QgsRasterMinMaxOrigin,
     QgsRasterShader,
     QgsRendererCategory,
     QgsRuleBasedLabeling,
@@ -46,16 +44,15 @@ CUT = 0.01
 """Share of the lowest and of the highest heights that have the colours of the ends."""
 BRIGHTER = 50
 """Of a hillshade, 0 to 255: flat ground keeps its colour nearly."""
-SAMPLE_PIXELS = 250_000
+LEAST_RANGE = 1e-3
+SAMPLE_PIXELS = 300
+"""A side."""
 
 
 def heights(layer: Any) -> None:
     """Colours from low to high, beneath the hillshade."""
     provider = layer.dataProvider()
-    low, high = provider.cumulativeCut(1, CUT, 1 - CUT, layer.extent(), SAMPLE_PIXELS)
-    if not low < high:
-        found = provider.bandStatistics(1, QgsRasterBandStats.All, layer.extent(), SAMPLE_PIXELS)
-        low, high = found.minimumValue, max(found.maximumValue, found.minimumValue + 1e-3)
+    low, high = _range(layer)
     stops = [QgsGradientStop(at, QColor(colour)) for at, colour in GREEN_TO_WHITE[1:-1]]
     ramp = QgsGradientColorRamp(QColor(GREEN_TO_WHITE[0][1]), QColor(GREEN_TO_WHITE[-1][1]), False, stops)
     function = QgsColorRampShader(
@@ -70,21 +67,36 @@ def heights(layer: Any) -> None:
     layer.setRenderer(renderer)
 
 
+def _range(layer: Any) -> tuple[float, float]:
+    """Heights between which the colours lie.
+
+    From a sample of pixels: GDAL would keep its statistics in a file beside the raster, and believe them after the
+    raster has changed.
+    """
+    block = layer.dataProvider().block(1, layer.extent(), SAMPLE_PIXELS, SAMPLE_PIXELS)
+    places = range(block.width() * block.height())
+    values = sorted(block.value(i) for i in places if not block.isNoData(i))
+    if not values:
+        return 0.0, 1.0
+    low, high = values[int(CUT * len(values))], values[int((1 - CUT) * len(values))]
+    return low, max(high, low + LEAST_RANGE)
+
+
 def shade(layer: Any) -> None:
     """The terrain as a hillshade that darkens what lies beneath."""
     renderer = QgsHillshadeRenderer(layer.dataProvider(), 1, 315.0, 45.0)
     renderer.setMultiDirectional(True)
     layer.setRenderer(renderer)
     layer.brightnessFilter().setBrightness(BRIGHTER)
-    layer.setBlendMode(QPainter.CompositionMode_Multiply)
+    layer.setBlendMode(QPainter.CompositionMode.CompositionMode_Multiply)
 
 
 def grey_shade(layer: Any) -> None:
     """A hillshade that is a file."""
     renderer = QgsSingleBandGrayRenderer(layer.dataProvider(), 1)
     layer.setRenderer(renderer)
-    layer.setContrastEnhancement(algorithm=1, limits=QgsRasterMinMaxOrigin.MinMax)
-    layer.setBlendMode(QPainter.CompositionMode_Multiply)
+    layer.brightnessFilter().setBrightness(BRIGHTER)
+    layer.setBlendMode(QPainter.CompositionMode.CompositionMode_Multiply)
 
 
 def mask(layer: Any) -> None:
