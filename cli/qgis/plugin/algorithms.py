@@ -1,238 +1,27 @@
-"""The algorithms: each runs a command of ``tiler`` with the values of its parameters."""
+"""The algorithms, a command of ``tiler`` each."""
 
 from __future__ import annotations
 
 import html
-import json
-import re
-import shlex
-import time
 from pathlib import Path
 from typing import Any
 
-from processing.core.ProcessingConfig import ProcessingConfig
-from processing.core.ProcessingResults import resultsList
 from qgis.core import (
-    QgsCoordinateReferenceSystem,
-    QgsCoordinateTransform,
     QgsProcessing,
-    QgsProcessingAlgorithm,
     QgsProcessingContext,
     QgsProcessingException,
     QgsProcessingFeedback,
     QgsProcessingOutputFile,
-    QgsProcessingOutputNumber,
     QgsProcessingOutputRasterLayer,
     QgsProcessingParameterBoolean,
     QgsProcessingParameterFile,
     QgsProcessingParameterMultipleLayers,
     QgsProcessingParameterVectorLayer,
-    QgsProcessingUtils,
 )
 
 from . import process, results
-from .fields import FOLDER, make_parameters, numbers_of_names, read_value
-from .process import PARTIAL, TABLE, CommandError, Ended, absolute
-
-LOAD = "LOAD"
-COMMAND = "TILER_COMMAND"
-"""Name of the setting in the options of Processing."""
-
-
-def find_command() -> str:
-    """The path of ``tiler``: the one of the options, else that of the installation, else one in ``PATH``."""
-    return process.find_command(ProcessingConfig.getSetting(COMMAND) or TABLE["command"])
-
-
-class Shell(QgsProcessingAlgorithm):
-    """An algorithm that runs a command; what differs between them is below."""
-
-    command = ""
-    shows_progress = True
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._arguments: list[str] = []
-        self._place = self._page = ""
-        self._load = False
-        self._ended = Ended(process.INTERRUPTED, "")
-
-    def createInstance(self) -> QgsProcessingAlgorithm:
-        """Make another one, as QGIS does for each use."""
-        return type(self)()
-
-    def name(self) -> str:
-        """Behind ``tiler:``."""
-        return self.command
-
-    def displayName(self) -> str:
-        """In the toolbox."""
-        return self.command.capitalize()
-
-    def shortDescription(self) -> str:
-        """One line, of the command."""
-        return str(TABLE["commands"][self.command]["summary"])
-
-    def shortHelpString(self) -> str:
-        """The help of the command, and of each parameter."""
-        facts = TABLE["commands"][self.command]
-        paragraphs = (" ".join(p.split()) for p in facts["help"].split("\n\n"))
-        text = "".join(f"<p>{html.escape(p)}</p>" for p in paragraphs)
-        rows = ((p.description(), p.help()) for p in self.parameterDefinitions())
-        return text + "".join(f"<p><b>{html.escape(d)}</b><br>{html.escape(h)}</p>" for d, h in rows if h)
-
-    def initAlgorithm(self, configuration: Any = None) -> None:
-        """Make parameters and outputs."""
-        for spec in self.specs():
-            for parameter in make_parameters(spec):
-                self.addParameter(parameter)
-        self.addOutput(
-            QgsProcessingOutputNumber("EXIT_CODE", "Exit code: 0 done, 5 done but something was left out")
-        )
-        self.add_outputs()
-
-    def specs(self) -> list[dict[str, Any]]:
-        """Entries of the table."""
-        return list(TABLE["commands"][self.command]["parameters"])
-
-    def add_outputs(self) -> None:
-        """What else there is to give and to find; nothing here."""
-
-    def checkParameterValues(self, parameters: dict[str, Any], context: QgsProcessingContext) -> Any:
-        """As QGIS does; of products the names count as well as their numbers."""
-        numbers = {
-            spec["name"]: numbers_of_names(spec, parameters[spec["name"]])
-            for spec in self.specs()
-            if spec["kind"] == "names" and parameters.get(spec["name"]) is not None
-        }
-        return super().checkParameterValues({**parameters, **numbers}, context)
-
-    def prepareAlgorithm(
-        self, parameters: dict[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> bool:
-        """Read all parameters, where layers may be looked at."""
-        try:
-            self._arguments = self.make_arguments(parameters, context)
-        except CommandError as error:
-            raise QgsProcessingException(str(error)) from error
-        self._load = LOAD in parameters or self.parameterDefinition(LOAD) is not None
-        self._load = self._load and self.parameterAsBool(parameters, LOAD, context)
-        return True
-
-    def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
-        """What the command is called with."""
-        arguments = [find_command(), self.command]
-        places: list[str] = []
-        extent: list[str] = []
-        for spec in self.specs():
-            if spec["kind"] == "bounds":
-                extent = [spec["name"], spec["option"]]
-                continue
-            value = read_value(self, spec, parameters, context)
-            if spec["kind"] == "clouds":
-                value = [*(value or []), *self._folder(parameters, context)]
-                if not value:
-                    raise CommandError("no clouds: name files or a folder")
-                places = value + places
-            elif not spec["option"]:
-                places.append(value)
-            else:
-                arguments += process.options(spec, value)
-            if spec["name"] == "OUTPUT":
-                self._place = value
-        if self.shows_progress:
-            arguments += ["--progress", "json"]
-        if extent and parameters.get(extent[0]):
-            arguments += [extent[1], *self._edges(extent[0], parameters, context, [*arguments, *places])]
-        return [*arguments, *places]
-
-    def _folder(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
-        folder = self.parameterAsFile(parameters, FOLDER, context)
-        return [absolute(folder)] if folder else []
-
-    def _edges(
-        self, name: str, parameters: dict[str, Any], context: QgsProcessingContext, command: list[str]
-    ) -> list[str]:
-        """West, south, east and north in the CRS of the clouds, which `tiler plan` tells."""
-        given = parameters[name]
-        extent = self.parameterAsExtent(parameters, name, context)
-        if not isinstance(given, str) or "[" in given:
-            at = command.index("--progress")
-            plan = [command[0], "plan", *command[2:at], *command[at + 2 :], "--json"]
-            found = process.run_command(plan, lambda event: None, lambda: False)
-            wkt = json.loads(found.text)["crs"]
-            theirs = self.parameterAsExtentCrs(parameters, name, context)
-            clouds = QgsCoordinateReferenceSystem.fromWkt(wkt) if wkt else QgsCoordinateReferenceSystem()
-            if theirs.isValid() and clouds.isValid() and theirs != clouds:
-                transform = QgsCoordinateTransform(theirs, clouds, context.transformContext())
-                extent = transform.transformBoundingBox(extent)
-        edges = (extent.xMinimum(), extent.yMinimum(), extent.xMaximum(), extent.yMaximum())
-        return [repr(float(edge)) for edge in edges]
-
-    def processAlgorithm(
-        self, parameters: dict[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> dict[str, Any]:
-        """Run the command."""
-        feedback.pushCommandInfo(shlex.join(self._arguments))
-        teller = Teller(feedback)
-        try:
-            self._ended = process.run_command(self._arguments, teller, feedback.isCanceled)
-        except CommandError as error:
-            raise QgsProcessingException(str(error)) from error
-        if self._ended.cancelled:
-            feedback.pushWarning("stopped; the same algorithm with the same folder goes on where it was")
-            return {}
-        for line in self._ended.text.splitlines():
-            left_out = self._ended.code == PARTIAL and re.match(
-                r"left out |failed |required .* NOT met$", line
-            )
-            (feedback.reportError if left_out else feedback.pushInfo)(line)
-        if self._ended.code == PARTIAL:
-            self.tell_partial(feedback)
-        return {"EXIT_CODE": self._ended.code, **self.outputs()}
-
-    def tell_partial(self, feedback: QgsProcessingFeedback) -> None:
-        """Say that something is missing (exit code 5)."""
-        feedback.reportError(
-            "NOT COMPLETE: files or tiles were left out (exit code 5), see the red lines and the report"
-        )
-
-    def outputs(self) -> dict[str, Any]:
-        """What the algorithm gives."""
-        return {"OUTPUT": self._place}
-
-    def show_page(self, path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
-        """Put a page into the viewer of results.
-
-        It is no output of type HTML: of these QGIS says that they were made, also where the algorithm failed.
-        """
-        if path and context.project() is not None:
-            resultsList.addResult(self.icon(), self.displayName(), time.localtime(), path)
-            feedback.pushInfo(f"{path}: see Processing > Results Viewer")
-
-    @property
-    def to_load(self) -> bool:
-        """Whether there is something to add to the project."""
-        return self._load and self._ended.code in (0, PARTIAL)
-
-
-class Teller:
-    """Shows what a command says: progress bar, stage, and lines of the log."""
-
-    def __init__(self, feedback: QgsProcessingFeedback) -> None:
-        self._feedback, self._title = feedback, ""
-
-    def __call__(self, event: dict[str, Any]) -> None:
-        """Take in an object of ``--progress json``."""
-        if event.get("progress") is not None:
-            self._feedback.setProgress(100.0 * float(event["progress"]))
-        title = event.get("title")
-        if title and title != self._title:
-            self._title = title
-            self._feedback.setProgressText(title)
-        if event.get("message") is not None:
-            warning = event.get("level") == "warning"
-            (self._feedback.pushWarning if warning else self._feedback.pushInfo)(str(event["message"]))
+from .process import PARTIAL, TABLE, CommandError, absolute
+from .shell import LOAD, Shell, find_command, write_page
 
 
 class Run(Shell):
@@ -360,7 +149,7 @@ class Preview(Shell):
         """The picture, and the page."""
         lines = html.escape(self._ended.text)
         body = f'<p><img src="{html.escape(Path(self._place).as_uri())}"></p><pre>{lines}</pre>'
-        self._page = _page("preview", body)
+        self._page = write_page("preview", body)
         return {"OUTPUT": self._place, "PAGE": self._page}
 
     def postProcessAlgorithm(
@@ -408,7 +197,7 @@ class Check(Shell):
 
     def outputs(self) -> dict[str, Any]:
         """The page."""
-        self._page = _page("check", f"<pre>{html.escape(self._ended.text)}</pre>")
+        self._page = write_page("check", f"<pre>{html.escape(self._ended.text)}</pre>")
         return {"PAGE": self._page}
 
     def postProcessAlgorithm(
@@ -417,9 +206,3 @@ class Check(Shell):
         """Show the page."""
         self.show_page(self._page, context, feedback)
         return {}
-
-
-def _page(name: str, body: str) -> str:
-    path = QgsProcessingUtils.generateTempFilename(f"{name}.html")
-    Path(path).write_text(f'<!doctype html><meta charset="utf-8"><title>{name}</title>{body}', "utf-8")
-    return str(path)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from processing.core.ProcessingConfig import ProcessingConfig, Setting
 from qgis.core import QgsApplication, QgsProcessingProvider
 
-from .algorithms import COMMAND, ApplyEdits, Check, Classify, Preview, Run
+from .algorithms import ApplyEdits, Check, Classify, Preview, Run
 from .process import TABLE
+from .shell import COMMAND
 
 
 class Plugin:
