@@ -50,7 +50,9 @@ def by_command(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def profile(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Variables for a QGIS of its own, in which the plugin is installed and switched on."""
     home = tmp_path_factory.mktemp("qgis")
-    variables = {**os.environ, "QGIS_CUSTOM_CONFIG_PATH": str(home), "QT_QPA_PLATFORM": "offscreen"}
+    # QGIS takes the Python of an activated environment for its own: it gets the system's programs alone.
+    own = {"QGIS_CUSTOM_CONFIG_PATH": str(home), "QT_QPA_PLATFORM": "offscreen", "PATH": os.defpath}
+    variables = {**os.environ, **own}
     known = {**environment(), "QGIS_CUSTOM_CONFIG_PATH": str(home)}
     call = command("qgis", "install")
     assert_done(subprocess.run(call, env=known, capture_output=True, text=True, check=False))
