@@ -13,6 +13,7 @@ from qgis.core import (
     QgsApplication,
     QgsFeature,
     QgsGeometry,
+    QgsPointCloudLayer,
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProject,
@@ -27,6 +28,7 @@ sys.path.insert(0, sys.argv[1])
 
 from processing.core.Processing import Processing  # noqa: E402
 from processing.gui.Postprocessing import handleAlgorithmResults  # noqa: E402
+from tiler_qgis import styles  # noqa: E402
 from tiler_qgis.provider import Provider  # noqa: E402
 
 Processing.initialize()
@@ -114,6 +116,9 @@ told["unsaved"] = run("applyedits", again)
 assert edits.commitChanges()
 told["edited"] = run("applyedits", again)
 told["layers_again"] = layers()
+cloud = QgsPointCloudLayer("none/ept.json", "cloud", "ept")  # this QGIS opens no other kind
+styles.cloud(cloud)
+told["classes"] = [[int(c.value()), c.label()] for c in cloud.renderer().categories()]
 Path(sys.argv[4]).write_text(json.dumps(told))
 sys.stdout.flush()
 os._exit(0)  # QGIS may crash when it is taken down without a desktop

@@ -159,6 +159,7 @@ def test_a_session(profile: dict[str, str], cloud: Path, by_command: Path, tmp_p
     assert [layer["name"] for layer in found["layers_again"]] == names, "they are read again, not added twice"
     with rasterio.open(out / "dtm.tif") as terrain:
         assert next(terrain.sample([(x + 50, y + 50)])) == 200.0
+    assert [2, "Ground"] in found["classes"]
     by_hand = tmp_path / "by_hand"
     call = ("run", cloud, "-o", by_hand, *CALL, "--products", "dtm,mask", "--edits", out / "edits.gpkg")
     assert tiler(*call).returncode == 0

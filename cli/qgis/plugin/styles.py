@@ -112,8 +112,10 @@ def mask(layer: Any) -> None:
 
 def cloud(layer: Any) -> None:
     """Points by class."""
-    categories = QgsPointCloudClassifiedRenderer.defaultCategories()
-    layer.setRenderer(QgsPointCloudClassifiedRenderer("Classification", categories))
+    renderer = QgsPointCloudClassifiedRenderer()
+    renderer.setAttribute("Classification")
+    renderer.setCategories(QgsPointCloudClassifiedRenderer.defaultCategories())
+    layer.setRenderer(renderer)
 
 
 def outline(layer: Any) -> None:
