@@ -60,10 +60,12 @@ def test_a_window_has_the_bytes_of_the_whole_file_cropped(
     copc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window = do(copc, tmp_path / "window", **WINDOW)
-    monkeypatch.setattr(Plan, "chunks_of", lambda plan, source: None)
+    monkeypatch.setattr(Plan, "chunks_of", lambda plan, source, margin=None: None)
     whole = do(copc, tmp_path / "whole", **WINDOW)
     assert window.summary["counts"]["read"] < whole.summary["counts"]["read"] / 2
-    assert window.summary["counts"]["stored"] == whole.summary["counts"]["stored"]
+    assert (
+        window.summary["counts"]["stored"] < whole.summary["counts"]["stored"]
+    )  # that has its buckets filled
     for name in ("dtm.tif", "classified/city.laz", "stac.json"):
         assert (tmp_path / "window" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 

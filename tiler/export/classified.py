@@ -36,7 +36,7 @@ ROWS_AT_ONCE = 1 << 27
 
 _CHUNK = 50_000
 _STEP = 10 * _CHUNK
-_FEW_BYTES = 1 << 16
+_FEW_BYTES = 1 << 14
 _MARK = 0x80
 _WAVE_FORMATS = (9, 10)
 

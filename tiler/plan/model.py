@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -223,27 +222,23 @@ class Plan:
             extent = self.area.bounds.pad(self.margin)
         return self.area.cells(self.meta.bucket, extent, self.margin)
 
-    def chunks_of(self, source: SourceInfo) -> list[int] | None:
-        """The chunks of a COPC file that can hold points which are read; None for all, and for other files."""
-        wanted = self.buckets_of(source)
-        if wanted is None or source.octree is None:
+    def chunks_of(self, source: SourceInfo, margin: int | None = None) -> list[int] | None:
+        """The chunks of a COPC file that can hold points which matter; None for all, and for other files.
+
+        Parameters
+        ----------
+        source : SourceInfo
+        margin : int, optional
+            Counts around the area within which points matter; those that points are read in.
+        """
+        if self.area is None or source.octree is None or self.buckets_of(source) is None:
             return None
-        rows: dict[int, list[tuple[int, int]]] = defaultdict(list)
-        for iy, first, end in wanted:
-            rows[iy].append((first, end))
+        margin = self.margin if margin is None else margin
         near: dict[tuple[int, int, int], bool] = {}
         for key in source.octree.keys:
             if key not in near:
-                near[key] = self._touches(source.octree.box(key), rows)
+                near[key] = self.area.touches(_around(source.octree.box(key)).pad(margin))
         return [chunk for chunk, key in enumerate(source.octree.keys) if near[key]]
-
-    def _touches(self, box: Sequence[float], rows: Mapping[int, Sequence[tuple[int, int]]]) -> bool:
-        """Whether a square, and a unit around it as some writers round carelessly, holds one of some buckets."""
-        low, high = ([(v + pad) * COUNTS_PER_UNIT for v in box[i : i + 2]] for i, pad in ((0, -1), (2, 1)))
-        west, south = (self.meta.bucket.index_of(math.floor(v)) for v in low)
-        east, north = (self.meta.bucket.index_of(math.ceil(v)) for v in high)
-        inside = (iy for iy in rows if south <= iy <= north)
-        return any(first <= east and end > west for iy in inside for first, end in rows[iy])
 
     @property
     def density(self) -> float:
@@ -378,3 +373,10 @@ class Plan:
         ):
             halo *= 2
         return halo
+
+
+def _around(box: Sequence[float]) -> Bounds:
+    """A square in counts, and a unit around it, as some writers round carelessly."""
+    x0, y0 = (math.floor((v - 1) * COUNTS_PER_UNIT) for v in box[:2])
+    x1, y1 = (math.ceil((v + 1) * COUNTS_PER_UNIT) for v in box[2:])
+    return Bounds(x0, y0, x1, y1)

@@ -225,8 +225,8 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
 
 
 def _window(plan: Plan, info: SourceInfo) -> tuple[tuple[int, int], ...]:
-    """Records of a source of which the run fetched only a part; none for one that is read whole."""
-    chunks = plan.chunks_of(info) if is_url(info.path) else None
+    """Records, of a source of which the run fetched only a part, that may be inside the area; none for others."""
+    chunks = (plan.chunks_of(info, 0) or plan.chunks_of(info)) if is_url(info.path) else None
     found = [] if chunks is None else window_pieces(info, chunks, PIECE_POINTS)
     return tuple(records for ranges in found for records in ranges)
 

@@ -19,7 +19,7 @@ from tiler.io.las.laz import LazDamage, LazLayout, bytes_of_points, parse_laszip
 from tiler.io.las.records import VariableRecord, walk_records
 from tiler.io.locations import State, is_url, state_of
 
-_BLOCK_BYTES = 1 << 16
+_BLOCK_BYTES = 1 << 14
 """Bytes of an object read at once: what stands before the points, the chunk table or a record seldom take more."""
 _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")

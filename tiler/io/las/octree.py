@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import BinaryIO
+from pathlib import Path
 
 import numpy as np
 from laspy.copc import CopcInfoVlr, Entry, HierarchyPage
@@ -18,8 +18,8 @@ from tiler.io.las.laz import LazDamage
 _INFO_BYTES, _ENTRY_BYTES = 160, 32
 _DEEPEST = 30
 _INFO, _HIERARCHY = 1, 1000
-_BLOCK_BYTES = 1 << 16
-"""Bytes of an object read at once: a page of the hierarchy seldom has more."""
+_BLOCK_BYTES = 1 << 14
+"""Bytes of an object read at once to find the hierarchy; each of its pages is read with one request."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def read_octree(header: LasHeader) -> Octree:
             raise LazDamage(
                 f"its octree has its centre at {info.center.tolist()} and half a side of {info.halfsize}"
             )
-        entries = _entries(stream, info, header.size, int(layout.counts.size))
+    entries = _entries(header.path, info, header.size, int(layout.counts.size))
     starts = header.points_offset + 8 + np.cumsum(layout.sizes) - layout.sizes
     chunk_at = {int(s): i for i, s in enumerate(starts.tolist()) if layout.counts[i]}
     found: dict[int, Entry] = {}
@@ -129,7 +129,7 @@ def read_octree(header: LasHeader) -> Octree:
     return _tree(info, found, int(layout.counts.size))
 
 
-def _entries(stream: BinaryIO, info: CopcInfoVlr, size: int, chunks: int) -> list[Entry]:
+def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entry]:
     """The nodes of all pages that hold points."""
     found: list[Entry] = []
     pages, seen = [(info.hierarchy_root_offset, info.hierarchy_root_size)], set[int]()
@@ -140,8 +140,9 @@ def _entries(stream: BinaryIO, info: CopcInfoVlr, size: int, chunks: int) -> lis
         if length <= 0 or length % _ENTRY_BYTES or offset + length > size or offset in seen or left < 0:
             raise LazDamage(f"its octree has a page of {length} bytes at byte {offset} of {size}")
         seen.add(offset)
-        stream.seek(offset)
-        raw = stream.read(length)
+        with open_cloud(path, _BLOCK_BYTES, [(offset, offset + length)]) as stream:
+            stream.seek(offset)
+            raw = stream.read(length)
         if len(raw) < length:
             raise LazDamage(f"its octree ends at byte {offset + len(raw)}")
         for entry in HierarchyPage.from_bytes(raw).entries.values():
