@@ -235,12 +235,8 @@ def test_help_imports_nothing_heavy() -> None:
         assert done.stderr.strip() == "[]"
 
 
-def test_only_a_run_on_a_cluster_imports_dask() -> None:
-    script = (
-        "import sys, tiler.apps.classify, tiler.apps.info, tiler.pipeline, tiler.schedule\n"
-        "tiler.schedule.make_executor(2).close()\n"
-        "print('distributed' in sys.modules)"
-    )
+def test_only_a_run_imports_dask() -> None:
+    script = "import sys, tiler.apps.classify, tiler.apps.info, tiler.pipeline; print('distributed' in sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
     )

@@ -12,7 +12,7 @@ import pytest
 
 from tests.invariants.runs import do, output_digests
 from tests.scenes.small_stores import USUAL_ROW_POINTS, small_stores
-from tiler.schedule import Executor, LocalExecutor, Outcome, Perform, SerialExecutor, Task
+from tiler.schedule import Executor, Outcome, Perform, SerialExecutor, Task
 from tiler.schedule.workers import DaskExecutor
 
 
@@ -44,7 +44,7 @@ class OnCluster(DaskExecutor):
         self.processes: Any = distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
         )
-        super().__init__(self.processes.scheduler_address)
+        super().__init__(2, self.processes.scheduler_address)
 
     def close(self) -> None:
         super().close()
@@ -52,12 +52,12 @@ class OnCluster(DaskExecutor):
 
 
 EXECUTORS: dict[str, Callable[[], Executor]] = {
-    "two workers": lambda: LocalExecutor(2),
+    "two workers": lambda: DaskExecutor(2),
     "another order": lambda: Shuffled(1),
     "twice": Twice,
 }
 SLOW: dict[str, Callable[[], Executor]] = {
-    "one worker": lambda: LocalExecutor(1),
+    "one worker": lambda: DaskExecutor(1),
     "a cluster of two": OnCluster,
     "one more order": lambda: Shuffled(2),
 }

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 import tiler.plan.sizes
-import tiler.schedule
+import tiler.schedule.workers
 from ptd import classify
 from tests.invariants import runs  # noqa: F401
 

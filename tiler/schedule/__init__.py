@@ -1,10 +1,9 @@
-"""Executors of tasks, interchangeable: in this process, on processes of this machine, or on a Dask cluster."""
+"""Executors of tasks, interchangeable: in this process, or on Dask workers of this machine or of a cluster."""
 
 from __future__ import annotations
 
 from tiler.schedule.guard import Died, Guard, limits_memory
 from tiler.schedule.isolated_reading import half_of_memory, read_apart, seconds_for
-from tiler.schedule.local import LocalExecutor
 from tiler.schedule.parallel_calls import Guards
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import (
@@ -30,7 +29,6 @@ __all__ = [
     "Guard",
     "Guards",
     "Limits",
-    "LocalExecutor",
     "Look",
     "Machine",
     "Outcome",
@@ -51,14 +49,12 @@ __all__ = [
 def make_executor(
     workers: int, address: str | None = None, in_process: bool = False, limits: Limits | None = None
 ) -> Executor:
-    """Make one on processes of this machine, on the workers of a Dask cluster (imported only then), or in this process.
+    """Make one on Dask workers (imported only then), of this machine or of a cluster, or in this process.
 
     Also one worker works in a process of its own: what crashes it must not end the run.
     """
     if in_process:
         return SerialExecutor()
-    if address is None:
-        return LocalExecutor(workers, limits)
     from tiler.schedule.workers import DaskExecutor
 
-    return DaskExecutor(address, limits)
+    return DaskExecutor(workers, address, limits)

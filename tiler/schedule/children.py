@@ -1,18 +1,23 @@
-"""Child processes that work on tasks, see `Guard`: those of this machine, or of one Dask worker.
+"""What a Dask worker does with a task: a child process of its own works on it, see `Guard`.
 
 So a native crash, a hang or too much memory costs the child and one try of the task that is to blame, which is known,
-and how; who gave it the task lives on, with the other tasks that it holds.
+and how; the Dask worker lives on, with the other tasks that it holds.
 """
 
 from __future__ import annotations
 
+import asyncio
+import socket
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
+import distributed
+from distributed.system import MEMORY_LIMIT
+
 from tiler.schedule.guard import Died, Guard
-from tiler.schedule.task import TRIES, Limits, Outcome, Perform, Task
+from tiler.schedule.task import Limits, Outcome, Perform, Task
 
 WORKER_DIED = "WorkerDied"
 """Kind of the error of a task that killed its worker."""
@@ -34,7 +39,7 @@ class Run:
 
 
 class Children:
-    """Some children: one for each task at a time, kept for the next."""
+    """The children of one Dask worker: one for each task that it has at a time, kept for the next."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -102,10 +107,29 @@ class Children:
         guard.close()
 
 
-def judged(outcome: Outcome, number: int) -> Outcome:
-    """What the ``number``-th try of a task gave, as it is told: of what died, how; nothing comes after the last try."""
-    again = outcome.again and number < TRIES
-    error = outcome.error
-    if outcome.error_kind == WORKER_DIED:
-        error = f"its worker {error}" if again else f"killed its worker {number} times: it {error}"
-    return replace(outcome, error=error, again=again)
+def perform_in_child(run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
+    """On a Dask worker: `Children.perform`."""
+    return _children(distributed.get_worker()).perform(run, perform, store_url, task)
+
+
+async def call_in_child(
+    run: Run, function: Callable[..., Any], *arguments: Any, dask_worker: distributed.Worker
+) -> Any:
+    """On a Dask worker: `Children.call`, whatever tasks it has; Dask fills in the worker."""
+    return await asyncio.to_thread(_children(dask_worker).call, run, function, *arguments)
+
+
+def machine_of(dask_worker: distributed.Worker) -> tuple[str, int, int]:
+    """On a Dask worker: name of its machine, bytes of memory there, and its threads; Dask fills in the worker."""
+    return socket.gethostname(), MEMORY_LIMIT, dask_worker.state.nthreads
+
+
+def end_children(token: str, dask_worker: distributed.Worker) -> None:
+    """On a Dask worker: `Children.end`; Dask fills in the worker."""
+    _children(dask_worker).end(token)
+
+
+def _children(worker: distributed.Worker) -> Children:
+    """Kept with the worker: in one process there can be several."""
+    found: Children = vars(worker).setdefault("tiler_children", Children())
+    return found

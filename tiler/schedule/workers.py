@@ -1,31 +1,37 @@
-"""Tasks on the workers of a Dask cluster that runs already.
+"""Tasks on Dask workers: of this machine, in the command's own process, or of a cluster that runs already.
 
-No graph of all tasks is ever made: a few tasks a worker are in flight, the next is submitted when one is done. A
-worker has a child process do a task (`tiler.schedule.children`); one that fails is tried again.
+No graph of all tasks is ever made: a few tasks a worker are in flight, the next is submitted when one is done. What a
+worker does with a task is in `tiler.schedule.children`; a task that fails is tried again.
 """
 
 from __future__ import annotations
 
-import asyncio
 import logging
-import socket
 import time
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import dask
 import distributed
 from distributed import KilledWorker
 from distributed.comm.addressing import get_address_host_port
-from distributed.system import MEMORY_LIMIT
 
 from tiler.errors import ConfigError, ProcessingError
-from tiler.schedule.children import WORKER_DIED, Children, Run, judged
+from tiler.schedule.children import (
+    WORKER_DIED,
+    Run,
+    call_in_child,
+    end_children,
+    machine_of,
+    perform_in_child,
+)
+from tiler.schedule.local_cluster import cluster_here
 from tiler.schedule.task import TRIES, Limits, Look, Machine, Outcome, Perform, Task
 
 WAITING_PER_WORKER = 1
@@ -37,6 +43,13 @@ LOOKS_AT_A_TIME = 16
 """Workers that are judged together: a child starts on each, which takes about a second."""
 LOOK_SECONDS = 5.0
 """Workers that joined a cluster get their share after this time."""
+
+_QUIET = {
+    "distributed.worker.profile.enabled": False,  # it looks at every thread a hundred times a second
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+}
+"""What Dask measures of the command's own process, and nobody looks at."""
 
 _dask: Any = distributed
 """Its functions have no types."""
@@ -55,7 +68,9 @@ class DaskExecutor:
 
     Parameters
     ----------
-    address : str
+    workers : int
+        Of this machine, where no ``address`` is given.
+    address : str, optional
         Of the scheduler of a cluster that runs already, whose workers are used.
     limits : Limits
 
@@ -65,14 +80,21 @@ class DaskExecutor:
         No scheduler at the address, or one without workers.
     """
 
-    def __init__(self, address: str, limits: Limits | None = None) -> None:
+    def __init__(self, workers: int, address: str | None = None, limits: Limits | None = None) -> None:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._run = Run(uuid.uuid4().hex, limits or Limits())
         self._submissions = 0
+        self._cluster: Any = None
+        if address is None:
+            with dask.config.set(_QUIET):
+                self._cluster = cluster_here(workers)
+                self._client: Any = _dask.Client(self._cluster, set_as_default=False)
+            self.workers = self._room = workers
+            return
         self._address = address
         try:
             get_address_host_port(address)  # a client that finds this out is hard to get rid of
-            self._client: Any = _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+            self._client = _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
         self._judged: set[str] = set()
@@ -110,11 +132,14 @@ class DaskExecutor:
 
     def on_each_worker(self, look: Look) -> None:
         """Have `look` judge each worker of a cluster: those that are there now, and those that join later."""
-        self._judge = look
-        self._look()
+        if self._cluster is None:
+            self._judge = look
+            self._look()
 
     def machines(self) -> list[Machine]:
-        """Those of the cluster whose workers are there now, by name."""
+        """Those of a cluster whose workers are there now, by name; none where this machine is the one."""
+        if self._cluster is not None:
+            return []
         found: dict[str, list[tuple[int, int]]] = defaultdict(list)
         for name, memory, threads in self._client.run(machine_of).values():
             found[name].append((memory, threads))
@@ -158,7 +183,7 @@ class DaskExecutor:
             future.release()
             if outcome.again:
                 submit(this.task, this.number + 1)
-            if time.monotonic() - self._looked > LOOK_SECONDS:
+            if self._cluster is None and time.monotonic() - self._looked > LOOK_SECONDS:
                 self._look()
             fill()
             yield outcome
@@ -175,7 +200,13 @@ class DaskExecutor:
         if error is not None:
             text = (str(error) or repr(error)).splitlines()[0]
             return Outcome(this.task, None, text, type(error).__name__, again=again)
-        return judged(future.result(), this.number)
+        outcome: Outcome = future.result()
+        if outcome.error_kind == WORKER_DIED:
+            fate = f"its worker {outcome.error}"
+            if not again:
+                fate = f"killed its worker {this.number} times: it {outcome.error}"
+            outcome = replace(outcome, error=fate)
+        return replace(outcome, again=outcome.again and again)
 
     def _cut_off(self, this: _Try) -> Outcome:
         """The connection to the scheduler broke: Dask's client takes it up again, but forgets what it had asked for."""
@@ -198,31 +229,5 @@ class DaskExecutor:
                 self._client.sync(*ending, callback_timeout=CLOSE_SECONDS)
         with suppress(OSError, TimeoutError):
             self._client.close(timeout=CLOSE_SECONDS)
-
-
-def perform_in_child(run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
-    """On a Dask worker: `Children.perform`."""
-    return _children(distributed.get_worker()).perform(run, perform, store_url, task)
-
-
-async def call_in_child(
-    run: Run, function: Callable[..., Any], *arguments: Any, dask_worker: distributed.Worker
-) -> Any:
-    """On a Dask worker: `Children.call`, whatever tasks it has; Dask fills in the worker."""
-    return await asyncio.to_thread(_children(dask_worker).call, run, function, *arguments)
-
-
-def machine_of(dask_worker: distributed.Worker) -> tuple[str, int, int]:
-    """On a Dask worker: name of its machine, bytes of memory there, and its threads; Dask fills in the worker."""
-    return socket.gethostname(), MEMORY_LIMIT, dask_worker.state.nthreads
-
-
-def end_children(token: str, dask_worker: distributed.Worker) -> None:
-    """On a Dask worker: `Children.end`; Dask fills in the worker."""
-    _children(dask_worker).end(token)
-
-
-def _children(worker: distributed.Worker) -> Children:
-    """Kept with the worker: in one process there can be several."""
-    found: Children = vars(worker).setdefault("tiler_children", Children())
-    return found
+        if self._cluster is not None:
+            self._cluster.close(timeout=CLOSE_SECONDS)

@@ -13,7 +13,7 @@ import pytest
 
 from tests.tiler.schedule import calls
 from tiler.errors import ConfigError
-from tiler.schedule import TRIES, Executor, Limits, LocalExecutor, Outcome, SerialExecutor, Task
+from tiler.schedule import TRIES, Executor, Limits, Outcome, SerialExecutor, Task
 from tiler.schedule.workers import DaskExecutor
 
 SECONDS = 300.0
@@ -24,8 +24,8 @@ def task(value: int, **arguments: Any) -> Task:
 
 
 @pytest.fixture(scope="module")
-def two() -> Iterator[LocalExecutor]:
-    executor = LocalExecutor(2, limits=Limits(memory_bytes=1 << 30, seconds=SECONDS))
+def two() -> Iterator[DaskExecutor]:
+    executor = DaskExecutor(2, limits=Limits(memory_bytes=1 << 30, seconds=SECONDS))
     yield executor
     executor.close()
 
@@ -69,7 +69,7 @@ def others(n: int) -> list[Task]:
     ],
 )
 def test_a_task_that_kills_is_given_up_and_the_rest_is_done(
-    two: LocalExecutor, does: str, cause: str, tmp_path: Path
+    two: DaskExecutor, does: str, cause: str, tmp_path: Path
 ) -> None:
     ends, again = run(two, [*others(5), task(1, does=does), *others(8)[5:]], tmp_path)
     assert ends[1].record is None
@@ -81,7 +81,7 @@ def test_a_task_that_kills_is_given_up_and_the_rest_is_done(
 
 
 def test_a_task_that_hangs_is_given_up(tmp_path: Path) -> None:
-    executor = LocalExecutor(2, limits=Limits(seconds=1.0))
+    executor = DaskExecutor(2, limits=Limits(seconds=1.0))
     try:
         ends, again = run(executor, [task(1, does="hang")], tmp_path)
     finally:
@@ -90,7 +90,7 @@ def test_a_task_that_hangs_is_given_up(tmp_path: Path) -> None:
     assert again == {1: TRIES - 1}
 
 
-def test_a_task_is_tried_again_on_another_worker(two: LocalExecutor, tmp_path: Path) -> None:
+def test_a_task_is_tried_again_on_another_worker(two: DaskExecutor, tmp_path: Path) -> None:
     ends, again = run(two, [task(1, does="stumble", times=1), *others(4)], tmp_path)
     assert ends[1].record == {"square": 1}
     assert again == {1: 1}
@@ -98,20 +98,20 @@ def test_a_task_is_tried_again_on_another_worker(two: LocalExecutor, tmp_path: P
     assert first != second
 
 
-def test_a_task_that_kills_once_is_done_then(two: LocalExecutor, tmp_path: Path) -> None:
+def test_a_task_that_kills_once_is_done_then(two: DaskExecutor, tmp_path: Path) -> None:
     ends, _ = run(two, [task(1, does="leave", times=1), *others(4)], tmp_path)
     assert all(outcome.record for outcome in ends.values())
     assert len(ends) == 5
 
 
-def test_what_cannot_help_is_not_tried_again(two: LocalExecutor, tmp_path: Path) -> None:
+def test_what_cannot_help_is_not_tried_again(two: DaskExecutor, tmp_path: Path) -> None:
     ends, again = run(two, [task(1, does="fail")], tmp_path)
     assert ends[1].error == "cloud.las: bad"
     assert not again
 
 
 def test_one_worker_is_another_process_too(tmp_path: Path) -> None:
-    executor = LocalExecutor(1)
+    executor = DaskExecutor(1)
     try:
         ends, again = run(executor, [task(1, does="crash", times=2), *others(2)], tmp_path)
     finally:
@@ -124,7 +124,7 @@ def test_one_worker_is_another_process_too(tmp_path: Path) -> None:
 
 def test_workers_end_in_the_midst_of_their_work(tmp_path: Path) -> None:
     before = set(psutil.Process().children(recursive=True))
-    executor = LocalExecutor(2)
+    executor = DaskExecutor(2)
     outcomes = executor.run(calls.perform, str(tmp_path), [task(1), task(2, wait=900), task(3, wait=900)])
     next(outcomes)
     workers = set(psutil.Process().children(recursive=True)) - before
@@ -133,7 +133,7 @@ def test_workers_end_in_the_midst_of_their_work(tmp_path: Path) -> None:
     assert not psutil.wait_procs(workers, timeout=120)[1]
 
 
-def test_workers_of_this_machine_open_no_port(two: LocalExecutor, tmp_path: Path) -> None:
+def test_workers_of_this_machine_open_no_port(two: DaskExecutor, tmp_path: Path) -> None:
     run(two, others(2), tmp_path)
     here = psutil.Process()
     assert not [c for p in (here, *here.children()) for c in p.net_connections() if c.status == "LISTEN"]
@@ -158,4 +158,4 @@ def test_larger_tasks_may_take_longer() -> None:
 @pytest.mark.parametrize("address", ["garbage", "tcp://host", "ftp://host:8786", ""])
 def test_an_address_that_cannot_be_one_is_refused_at_once(address: str) -> None:
     with pytest.raises(ConfigError, match="no Dask scheduler answers there"):
-        DaskExecutor(address)
+        DaskExecutor(2, address)
