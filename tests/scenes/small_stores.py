@@ -1,4 +1,4 @@
-"""Stores for small scenes: dozens of buckets, and rows that are not mostly padding, which would cost a third of a run."""
+"""Stores for small scenes: dozens of buckets, and rows that are not mostly padding, a third of the cost of a run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ USUAL_ROW_POINTS = layout.ROW_POINTS
 def small_stores(patch: pytest.MonkeyPatch, bucket_points: int = 1000, row_points: int = 1024) -> None:
     """Let new stores have buckets (of 32 m for 1000 points at one a square metre) and rows of about so many points.
 
-    Neither changes a result. Rows are known to this process alone: where workers read the store, they must be the usual.
+    Neither changes a result. Rows are known to this process alone: workers need the usual.
     """
     patch.setattr("tiler.plan.sizes.BUCKET_POINTS", bucket_points)
     for module in ("layout", "points", "elected"):
