@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from ptd.precompile import warm_filters, warm_gridding
-from tests.integration.command import TIMEOUT_SECONDS, command, environment, tiler
+from tests.integration.command import TIMEOUT_SECONDS, command, environment
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests, the_store
 from tests.scenes.running import wait_for
@@ -40,7 +40,7 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Large enough that there is time to hit it, once the kernels are compiled."""
     warm_filters("classic", lambda: None)
     warm_gridding("linear", lambda: None)
-    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(192.0, 1.5))
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(160.0, 1.5))
 
 
 @pytest.fixture(scope="module")
@@ -153,13 +153,13 @@ def test_a_worker_that_dies_is_replaced(
 
 
 def goes_on_to_the_same(cloud: Path, out: Path, undisturbed: dict[str, str]) -> None:
-    """The command again: nothing that was finished is done once more, and the bytes are those of a run in peace."""
+    """The job again, here: nothing that was finished is done once more, and the bytes are those of a run in peace."""
     store = the_store(out)
     before = {stage: store.committed(stage).keys() for stage in STAGES}
     assert before["filter0"]
-    found = tiler("run", cloud, "-o", out, *OPTIONS, "--json", "-q")
-    assert found.returncode == 0, found.stderr
-    stages = json.loads(found.stdout)["stages"]
+    found = do(cloud, out)
+    assert found.exit_code == 0
+    stages = found.summary["stages"]
     for stage in STAGES:
         assert stages[stage]["done"] == len(before[stage])
         assert stages[stage]["computed"] == stages[stage]["tasks"] - len(before[stage])

@@ -11,7 +11,7 @@ import pytest
 import rasterio
 
 import ptd
-from tests.integration.command import tiler
+from cli.main import main
 from tests.scenes.village import village
 
 
@@ -30,8 +30,8 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def ran(cloud: Path, out: Path, *options: object) -> dict:
-    found = tiler("run", cloud, "-o", out, "--crs", "EPSG:32632", "--workers", 1, "-q", *options)
-    assert found.returncode == 0, found.stderr
+    arguments = ("run", cloud, "-o", out, "--crs", "EPSG:32632", "--in-process", "-q", *options)
+    assert main([str(a) for a in arguments]) == 0
     return json.loads((out / "run.json").read_text())
 
 

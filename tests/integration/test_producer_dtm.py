@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from tests.integration.command import tiler
+from cli.main import main
 
 NODATA = -9999.0
 
@@ -24,22 +24,8 @@ def tiles(shared_data: Path) -> Path:
 @pytest.fixture(scope="module")
 def terrain(tiles: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("ign") / "out"
-    found = tiler(
-        "run",
-        tiles,
-        "-o",
-        out,
-        "--method",
-        "keep",
-        "--ground-classes",
-        2,
-        "--resolution",
-        0.5,
-        "--workers",
-        1,
-        "-q",
-    )
-    assert found.returncode == 0, found.stderr
+    arguments = "--method keep --ground-classes 2 --resolution 0.5 --in-process -q"
+    assert main(["run", str(tiles), "-o", str(out), *arguments.split()]) == 0
     return out / "dtm.tif"
 
 
