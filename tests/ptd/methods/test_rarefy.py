@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import laspy
 import numpy as np
 import pytest
 
@@ -75,13 +72,3 @@ def test_tiles_agree_with_the_whole() -> None:
     assert np.array_equal(labels[~marks], truth[~marks])
     assert marks.mean() < 0.5
     assert set(truth.tolist()) >= {1, 2}
-
-
-def test_errors_of_the_isprs_samples(shared_data: Path) -> None:
-    """One default: total 7.15 percent; `classic` 7.09."""
-    errors = []
-    for name in ("11", "12", "22", "24", "31", "42", "51", "53"):
-        cloud = laspy.read(shared_data / "isprs" / f"samp{name}-utm.laz")
-        found = ptd.classify(np.stack([cloud.x, cloud.y, cloud.z], axis=1), "rarefy").classification == 2
-        errors.append((found != (np.asarray(cloud.classification) == 2)).mean())
-    assert np.mean(errors) < 0.074

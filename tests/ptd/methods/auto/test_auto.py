@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
-import laspy
 import numpy as np
 import pytest
 
@@ -70,22 +67,6 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
         "roofs4",
         "label",
     ]
-
-
-@pytest.mark.parametrize(
-    "xyz",
-    [
-        np.zeros((0, 3)),
-        [[5.0, 5.0, 1.0]],
-        [[5.0, 5.0, 1.0], [8.0, 5.0, 1.0]],
-        [[5.0, 5.0, 1.0], [8.0, 5.0, 1.0], [5.0, 9.0, 1.0]],
-        [[float(i), 2.0 * i, 0.1 * i] for i in range(40)],
-        [[5.0, 5.0, 1.0]] * 20,
-    ],
-    ids=["none", "one", "two", "three", "line", "spot"],
-)
-def test_tiny_clouds_are_ground(xyz: Any) -> None:
-    assert (ptd.classify(xyz, "auto").classification == 2).all()
 
 
 def test_a_window_without_ground_knows_nothing() -> None:
@@ -271,34 +252,8 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(tile_m: float, thin_cell
     assert 0.1 < (labels == 2).mean() < 0.95
 
 
-def test_the_order_of_the_points_changes_nothing() -> None:
-    cloud = SCENES["hills_with_houses"](np.random.default_rng(2))
-    order = np.random.default_rng(0).permutation(cloud.shape[1])
-    truth, _, state = classify_tiled(Points(cloud), SCALE, SMALL, None, kind="lidar")
-    shuffled, _, other = classify_tiled(Points(cloud[:, order]), SCALE, SMALL, None, kind="lidar")
-    assert np.array_equal(shuffled, truth[order])
-    assert state == other
-
-
 def test_blocks_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud = Points(SCENES["voids"](np.random.default_rng(2)))
     truth, _, _ = classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")
     monkeypatch.setattr(blocks, "SIDE_CELLS", 16)
     assert np.array_equal(classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")[0], truth)
-
-
-def test_an_offset_of_the_frame_changes_nothing() -> None:
-    xyz, _ = scene(8000)
-    labels = ptd.classify(xyz, "auto").classification
-    moved = ptd.classify(xyz + [640_000.0, -64_000.0, 0.0], "auto").classification
-    assert np.array_equal(labels, moved)
-
-
-def test_errors_of_the_isprs_samples(shared_data: Path) -> None:
-    """One setting: total 3.03 percent, type I 2.1, type II 6.5."""
-    errors = []
-    for name in ("11", "12", "22", "24", "31", "42", "51", "53"):
-        cloud = laspy.read(shared_data / "isprs" / f"samp{name}-utm.laz")
-        found = ptd.classify(np.stack([cloud.x, cloud.y, cloud.z], axis=1), "auto").classification == 2
-        errors.append((found != (np.asarray(cloud.classification) == 2)).mean())
-    assert np.mean(errors) < 0.031

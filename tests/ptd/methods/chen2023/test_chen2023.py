@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 
@@ -91,25 +89,6 @@ def test_noise_among_the_seeds_goes_and_densification_may_take_it_back() -> None
     assert np.array_equal(clean.classification == 2, ~shed)
 
 
-TINY = {
-    "none": [],
-    "one": [(5, 5, 5)],
-    "two": [(5, 5, 5), (90, 7, 6)],
-    "three": [(5, 5, 5), (90, 7, 6), (30, 20, 5)],
-    "on a line": [(k * 1.3, k * 2.6, k * 0.1) for k in range(40)],
-    "at one spot": [(7, 7, k % 2) for k in range(9)],
-}
-
-
-@pytest.mark.parametrize("name", TINY)
-def test_tiny_clouds(name: str) -> None:
-    cloud = np.array(TINY[name], float).reshape(-1, 3)
-    found = ptd.classify(cloud, "chen2023").classification
-    assert found.size == len(cloud)
-    if name != "at one spot":
-        assert (found == 2).all()
-
-
 def test_a_cloud_of_outliers_alone_has_no_ground() -> None:
     """Heights 0, 10, 20, 30, 40 at five places a metre apart: each is far from all others."""
     cloud = np.array([[k, 0.5 * k, 10.0 * k] for k in range(5)])
@@ -175,16 +154,3 @@ def test_limits_in_counts() -> None:
     assert clusters.long_side == 30_000.0
     assert clusters.narrow_cos == pytest.approx(math.cos(math.pi / 12))
     assert clusters.prominence == 1000.0
-
-
-def test_errors_of_the_isprs_samples(shared_data: Path) -> None:
-    """One default: total 4.46, type I 3.58, type II 7.25 percent (the paper: 11.28, 14.66, 6.76 on all 15)."""
-    errors = []
-    for name in SAMPLES:
-        cloud = laspy.read(shared_data / "isprs" / f"samp{name}-utm.laz")
-        found = ptd.classify(np.stack([cloud.x, cloud.y, cloud.z], axis=1), "chen2023").classification == 2
-        ground = np.asarray(cloud.classification) == 2
-        errors.append(((found != ground).mean(), (~found[ground]).mean()))
-    total, type_1 = np.mean(errors, axis=0)
-    assert total < 0.046
-    assert type_1 < 0.037

@@ -112,15 +112,6 @@ def test_the_statistics_are_those_of_one_tile(tile_m: float) -> None:
     assert len(whole["notes"]) == 1
 
 
-def test_the_order_of_the_points_changes_nothing() -> None:
-    cloud = SCENES["hills_with_houses"](np.random.default_rng(2))
-    order = np.random.default_rng(0).permutation(cloud.shape[1])
-    truth, _, state = classify_tiled(Points(cloud), SCALE, CITY, None)
-    shuffled, _, other = classify_tiled(Points(cloud[:, order]), SCALE, CITY, None)
-    assert np.array_equal(shuffled, truth[order])
-    assert state == other
-
-
 def test_blocks_of_the_raster_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud = SCENES["voids"](np.random.default_rng(2))
     truth, _ = run(SMALL, cloud, Window.everything())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,6 @@ EVERYTHING = Window.everything()
 SCALE = Scale(Fraction(1, CM), Fraction(1, CM), (-7_123_456, 93_000_017))
 DEFAULTS = Ridge2016(robust_cells=False)
 SMALL = Ridge2016(robust_cells=False, max_building_size_m=6.0, rounds=4, low_radius_m=2.5, low_depth_m=2.0)
-SAMPLES = ("11", "12", "22", "24", "31", "42", "51", "53")
 
 
 def labels_of(cloud: Cloud, params: Ridge2016 = DEFAULTS, scale: Scale = SCALE) -> np.ndarray:
@@ -37,44 +35,6 @@ def labels_of(cloud: Cloud, params: Ridge2016 = DEFAULTS, scale: Scale = SCALE) 
 @pytest.fixture(params=["hills_with_houses", "lattice", "blunders"])
 def cloud(request: pytest.FixtureRequest) -> Cloud:
     return SCENES[request.param](np.random.default_rng(7))
-
-
-@pytest.mark.parametrize("params", [DEFAULTS, SMALL])
-def test_neither_order_nor_frame_change_a_label(cloud: Cloud, params: Ridge2016) -> None:
-    whole = labels_of(cloud, params)
-    assert set(whole.tolist()) >= {1, 2}
-    order = np.random.default_rng(0).permutation(cloud.shape[1])
-    assert np.array_equal(labels_of(cloud[:, order], params), whole[order])
-    moved = cloud + np.array([[12_345], [-54_321], [777]], np.int32)
-    origin = SCALE.origin[0] - 12_345, SCALE.origin[1] + 54_321
-    assert np.array_equal(labels_of(moved, params, replace(SCALE, origin=origin)), whole)
-
-
-def test_finer_counts_change_nothing(cloud: Cloud) -> None:
-    fine = Scale(Fraction(1, 8 * CM), Fraction(1, 8 * CM), (8 * SCALE.origin[0], 8 * SCALE.origin[1]))
-    assert np.array_equal(labels_of((8 * cloud).astype(np.int32), scale=fine), labels_of(cloud))
-
-
-def test_heights_may_have_another_unit_than_positions(cloud: Cloud) -> None:
-    fine = replace(SCALE, metres_z=Fraction(1, 4 * CM))
-    taller = cloud * np.array([[1], [1], [4]], np.int32)
-    assert np.array_equal(labels_of(taller, scale=fine), labels_of(cloud))
-
-
-TINY = {
-    "none": [],
-    "one": [(5, 5, 5)],
-    "three": [(5, 5, 5), (90, 7, 6), (30, 200, 5)],
-    "on a line": [(k * 130, k * 260, k) for k in range(40)],
-    "at one spot": [(7, 7, k % 2) for k in range(9)],
-    "duplicates": [(5, 5, 5), (90, 7, 6), (30, 200, 5)] * 4,
-}
-
-
-@pytest.mark.parametrize("name", TINY)
-def test_tiny_clouds_are_ground(name: str) -> None:
-    cloud = np.array(TINY[name], np.int32).reshape(-1, 3).T
-    assert labels_of(cloud).tolist() == [2] * len(TINY[name])
 
 
 @settings(max_examples=30, deadline=None)
@@ -273,18 +233,6 @@ def test_some_of_such_windows_is_certain() -> None:
     assert model.stats["ridge_points"] > 20
     assert model.stats["dropped_seeds"] > 20
     assert 0.3 < model.label(Points(part))[1].mean() < 0.9
-
-
-def test_on_the_isprs_samples_the_mean_total_error_is_below_7_percent(shared_data: Path) -> None:
-    """Eight of the fifteen samples of Sithole and Vosselman (2003); class 2 is ground."""
-    import laspy
-
-    errors = []
-    for name in SAMPLES:
-        las = laspy.read(shared_data / "isprs" / f"samp{name}-utm.laz")
-        found = ptd.classify(np.column_stack([las.x, las.y, las.z]), "ridge2016").classification
-        errors.append(float(((found == 2) != (np.asarray(las.classification) == 2)).mean()))
-    assert np.mean(errors) <= 0.07, dict(zip(SAMPLES, errors, strict=True))
 
 
 @pytest.mark.slow
