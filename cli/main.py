@@ -22,11 +22,11 @@ from tiler.version import __version__
 COMMANDS = {
     "run": "The whole job: clouds to a DTM and classified clouds.",
     "plan": "Dry run: what a run would do, and what it needs.",
-    "ingest": "First stage: the clouds' points into the tile store.",
+    "ingest": "First stage: read the clouds into the tile store.",
     "filter": "Second stage: find the ground, tile by tile.",
     "grid": "Third stage: interpolate the ground at the pixels.",
     "export": "Fourth stage: write the DTM and the classified clouds.",
-    "classify": "One file to one classified file, with no store left behind.",
+    "classify": "Classify the points of one file; leaves no store behind.",
     "preview": "A picture of what the settings give, in seconds.",
     "info": "What a cloud, a store, a result folder or a raster holds.",
     "methods": "The ground filters and their parameters.",
@@ -72,7 +72,7 @@ class LazyGroup(click.Group):
 @click.version_option(__version__, prog_name="tiler")
 @click.pass_context
 def group(context: click.Context) -> int:
-    """Point clouds of any size to terrain.
+    """Turn point clouds of any size into terrain models.
 
     `tiler run INPUT... -o OUT` does the whole job; `tiler COMMAND --help` tells the rest.
     """

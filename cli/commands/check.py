@@ -37,7 +37,7 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
 @click.option(
     "--tile-size",
     metavar="LENGTH",
-    help="look for seams at its multiples [unit: m; default: tiles of the run.json beside DTM]",
+    help="look for seams at multiples of this length [unit: m; default: tiles of the run.json beside DTM]",
 )
 @click.option(
     "--strips",
@@ -76,7 +76,7 @@ def command(
 
     Differences are DTM minus checkpoint, bilinear between pixel centres. By the ASPRS standards, Edition 2: accuracy
     is the RMSE of non-vegetated checkpoints (NVA), with their own error; a statement needs 30 of them at least; that of
-    vegetated ones (VVA) is told and never judged.
+    vegetated ones (VVA) is reported, never judged.
     """
     from tiler.api import check
 

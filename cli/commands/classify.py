@@ -35,7 +35,7 @@ SETTINGS = (
 @config_options(only=SETTINGS)
 @json_option
 def command(source: str, target: str, as_json: bool, **settings: Any) -> int:
-    """One file to one classified file, with no store left behind.
+    """Classify the points of one file; leaves no store behind.
 
     OUT.laz (or OUT.las) gets the points of IN in the same order, with new classes; OUT.copc.laz has them by place.
     Needs no CRS: where IN has none, its coordinates are taken for metres, or for what --units says. Where a tile fails

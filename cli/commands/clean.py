@@ -22,9 +22,9 @@ from cli.session import TilerCommand
 def command(out: Path, store: str | None, as_json: bool) -> None:
     """Remove what a run left behind and no later one needs.
 
-    Scratch files of runs that were killed, the points between decoding and their buckets, older indices. The same
-    command still finds everything done; with one more file it decodes again what touches it. `tiler run
-    --clean-store` removes the whole store.
+    Scratch files of runs that were killed, decoded points that lie sorted in the store as well, older indices. The
+    same `tiler run` still finds everything done; after a file is added it decodes again what that file touches.
+    `tiler run --clean-store` removes the whole store.
     """
     from tiler.apps.clean import clean
 

@@ -39,7 +39,7 @@ SETTINGS = (
     default=1,
     type=click.IntRange(min=0),
     metavar="N",
-    help="of the simulated city; the same seed gives the same city [default: 1]",
+    help="seed of the simulated city: the same one gives the same city [default: 1]",
 )
 @config_options(only=SETTINGS)
 @json_option

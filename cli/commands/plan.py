@@ -17,7 +17,7 @@ from cli.session import TilerCommand
     "-o",
     "--out",
     metavar="OUT",
-    help="as of `tiler run`: its disk, what is there already, and whether workers reach it [default: none]",
+    help="OUT of the run: look at its disk, at what is there already, and whether workers reach it [default: none]",
 )
 @config_options()
 @json_option

@@ -53,7 +53,7 @@ class Progressive:
         5.0, "low outliers: radius of the search", unit="m", minimum=1.0, maximum=50.0
     )
     low_depth_m: float = parameter(
-        4.0, "low outliers: so far below all other points within the radius", unit="m",
+        4.0, "low outliers: how far they lie below all other points within the radius", unit="m",
         minimum=0.1, maximum=100.0,
     )  # fmt: skip
     low_group: int = parameter(

@@ -88,8 +88,8 @@ class RunConfig:
     )
     surface: str | None = setting(
         None,
-        "ground points that make the DTM: all, or one in each cell of half a pixel, "
-        "that at the median or a percentile (p10) of the heights; default: all, or the "
+        "which ground points make the DTM: all of them, or in each cell of half a pixel the one at the median or at a "
+        "percentile (p10) of the cell's heights; default: all, or the "
         "median where the cloud is taken for image matching",
         kind="surface",
     )
@@ -123,18 +123,18 @@ class RunConfig:
         "level, and of lines along which rivers flow", kind="file",
     )  # fmt: skip
     water_min_lake: Fraction = setting(
-        Fraction(8000), "`--water auto` takes lakes and ponds from this area on (8000, 0.8ha, 2acre)", unit="m2",
+        Fraction(8000), "smallest lake or pond that `--water auto` takes (8000, 0.8ha, 2acre)", unit="m2",
         kind="area",
     )  # fmt: skip
     water_min_river_width: Fraction = setting(
         Fraction(15),
-        "`--water auto` takes rivers and canals from this mean width on",
+        "narrowest river or canal, by its mean width, that `--water auto` takes",
         unit="m",
         kind="length",
     )
     water_min_island: Fraction = setting(
         Fraction(1000),
-        "`--water auto` leaves out islands below this area, which become water",
+        "smallest island that `--water auto` keeps; smaller ones become water",
         unit="m2",
         kind="area",
     )
@@ -172,7 +172,8 @@ class RunConfig:
     )
     memory: int | None = setting(
         None,
-        "memory of one worker; default: half of the machine's or container's by workers, 4 GiB at most",
+        "memory that one worker may use; default: half of that of the machine or container, divided by the workers, 4 "
+        "GiB at most",
         unit="bytes",
         kind="bytes",
     )
@@ -192,8 +193,8 @@ class RunConfig:
     store: str | None = setting(None, "where the tile store lies; default OUT/store.zarr")
     crs: str | None = setting(
         None,
-        "CRS of files that have none (EPSG:..., WKT; in EPSG:2154+5720 the part of the heights also counts for files "
-        "that have the first part alone), or `none`: unknown, metres "
+        "CRS of files that have none (EPSG:..., WKT; a compound one like EPSG:2154+5720 also gives its heights' datum "
+        "to files that name EPSG:2154 alone), or `none`: unknown, metres "
         "assumed; default: a file without CRS is an error",
     )
     units: str | None = setting(
@@ -208,8 +209,8 @@ class RunConfig:
     )
     aoi: str | None = setting(
         None,
-        "only the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; as --bounds; "
-        "default: everything",
+        "only what lies inside the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; as with --bounds, what "
+        "lies around them is read as far as it matters; default: everything",
         kind="file",
     )
     keep_classes: tuple[int, ...] = setting(
@@ -219,8 +220,12 @@ class RunConfig:
         "test on a labelled cloud needs",
         kind="classes",
     )
-    skip_synthetic: bool = setting(False, "synthetic points take no part in filtering", kind="flag")
-    skip_overlap: bool = setting(False, "overlap points take no part in filtering", kind="flag")
+    skip_synthetic: bool = setting(
+        False, "points flagged as synthetic take no part in filtering and keep their class", kind="flag"
+    )
+    skip_overlap: bool = setting(
+        False, "points flagged as overlap take no part in filtering and keep their class", kind="flag"
+    )
     sigma: Fraction | None = setting(
         None,
         "standard deviation of the noise of heights, for methods that need it; default: "
@@ -234,8 +239,8 @@ class RunConfig:
     )  # fmt: skip
     statistics: str | None = setting(
         None,
-        "OUT folder of an earlier run of the same method, of which this one takes what is decided once a run (noise, "
-        "thresholds); default: this run's own",
+        "OUT folder of an earlier run of the same method: use the noise and the thresholds that it measured; default: "
+        "measure those of this run's own points",
     )
     nodata: float = setting(
         NODATA,

@@ -49,7 +49,7 @@ class Chen2023Parameters(Progressive):
     )  # fmt: skip
     initial_drop_m: float = parameter(
         0.3,
-        "h_0: what ground may drop in any case",
+        "h_0: drop of ground that is allowed in any window",
         unit="m",
         minimum=0.0,
         maximum=100.0,
@@ -60,7 +60,8 @@ class Chen2023Parameters(Progressive):
         maximum=100.0, source="Chen 2023, eq. 3",
     )  # fmt: skip
     mean_layers: int = parameter(
-        5, "empty cells so far from filled ones are interpolated, farther ones take the nearest height", minimum=0,
+        5, "empty cells at most this many cells from filled ones are interpolated, farther ones take the nearest "
+        "height", minimum=0,
         maximum=1000, source="Chen 2023, 2.2 A",
     )  # fmt: skip
     tail_gap_m: float = parameter(
@@ -72,7 +73,8 @@ class Chen2023Parameters(Progressive):
         maximum=0.1, source="Chen 2023, 2.1 a",
     )  # fmt: skip
     long_side: float = parameter(
-        1.5, "seeds: of facets with a side of more than so many largest buildings the highest corner is noise; 0: off",
+        1.5, "seeds: the highest corner of a facet is noise if a side is longer than this many largest buildings; 0: "
+        "off",
         minimum=0.0, maximum=1000.0, source="Chen 2023, 2.3 (1)",
     )  # fmt: skip
     narrow_angle_deg: float = parameter(
@@ -81,13 +83,13 @@ class Chen2023Parameters(Progressive):
     )  # fmt: skip
     cluster_seeds: int = parameter(
         50,
-        "seeds: a cluster of no more is small; 0: none is",
+        "seeds: largest number of seeds in a small cluster; 0: none is small",
         minimum=0,
         maximum=10**6,
         source="Chen 2023, 2.3 (2)",
     )
     prominence_m: float = parameter(
-        1.0, "seeds: so much higher than the seeds around it a small cluster is noise", unit="m", minimum=0.0,
+        1.0, "seeds: a small cluster this much higher than the seeds around it is noise", unit="m", minimum=0.0,
         maximum=100.0, source="Chen 2023, 2.3 (2)",
     )  # fmt: skip
     label_pass: bool = like(Classic, "label_pass")

@@ -47,7 +47,8 @@ class Dong2018Parameters(Progressive):
         source="Dong 2018, figure 5",
     )  # fmt: skip
     pit_sigmas: float = parameter(
-        6.0, "stage one: points in pits narrower than 3 m and so many sigma deep are no vertices", minimum=1.0,
+        6.0, "stage one: points in pits narrower than 3 m and at least this many sigma deep are no vertices",
+        minimum=1.0,
         maximum=1000.0,
     )  # fmt: skip
     robust_cells: bool = like(OnCells, "robust_cells")

@@ -30,11 +30,13 @@ class Ridge2016Parameters(Progressive):
         maximum=100.0, source="Ridge 2016, 2.1",
     )  # fmt: skip
     ridge_angle_deg: float = parameter(
-        25.0, "theta_r: and such angles to facets that fall away from it on two sides", unit="deg", minimum=0.0,
+        25.0, "theta_r: and it meets facets that fall away from it on two sides at such angles or larger", unit="deg",
+        minimum=0.0,
         maximum=90.0, source="Ridge 2016, 2.1",
     )  # fmt: skip
     ridge_radius_m: float = parameter(
-        2.0, "around the centre of such a facet the lowest point is a seed too", unit="m", minimum=0.1, maximum=5.0,
+        2.0, "radius around the centre of such a facet within which the lowest point is a seed too", unit="m",
+        minimum=0.1, maximum=5.0,
         source="Ridge 2016, 2.1",
     )  # fmt: skip
     seed_confidence: float = parameter(
@@ -42,7 +44,7 @@ class Ridge2016Parameters(Progressive):
         "are dropped; 1: none", minimum=0.5, maximum=1.0, source="Ridge 2016, 2.2",
     )  # fmt: skip
     seed_residual_m: float = parameter(
-        0.0, "but not those with a smaller residual", unit="m", minimum=0.0, maximum=100.0
+        0.0, "seeds with a smaller residual are kept in any case", unit="m", minimum=0.0, maximum=100.0
     )
     growth: float = parameter(
         0.001, "p_min: rounds end when the terrain grew by no more than this share of the run's points; 0: never",
