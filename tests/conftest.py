@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,6 +43,19 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture
+def logging_as_before() -> Iterator[None]:
+    """Take back what a command sets up."""
+    root, own = logging.getLogger(), [logging.getLogger(n) for n in ("tiler", "ptd", "cli")]
+    handlers, level = root.handlers[:], root.level
+    yield
+    logging.captureWarnings(False)
+    root.handlers[:] = handlers
+    root.setLevel(level)
+    for logger in own:
+        logger.setLevel(logging.NOTSET)
 
 
 @pytest.fixture(scope="session")

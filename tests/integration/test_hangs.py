@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -129,20 +130,23 @@ sys.exit(main())
 """
 
 
-def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path) -> None:
-    """As a compressor does whose file is written by Python."""
-    script = tmp_path / "error.py"
-    script.write_text(
-        STUCK.format("__import__('time').sleep(60)").replace("pass", "raise ValueError('write')")
-    )
+def interrupted(folder: Path, program: str) -> tuple[float, int, str]:
+    """How a program ends that is interrupted once it is stuck."""
+    (folder / "stuck.py").write_text(program)
     process = subprocess.Popen(
-        command()[:1] + [str(script)],
+        [sys.executable, str(folder / "stuck.py")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         env=environment(),
     )
-    seconds, code, error = end_of(process, after=1.5)
+    return end_of(process, after=1.5)
+
+
+def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path) -> None:
+    """As a compressor does whose file is written by Python."""
+    stuck = STUCK.format("__import__('time').sleep(60)").replace("pass", "raise ValueError('write')")
+    seconds, code, error = interrupted(tmp_path, stuck)
     assert (code, error) == (130, "tiler: interrupted\n")
     assert seconds < 2.0
 
@@ -156,15 +160,6 @@ def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path
 )
 def test_what_does_not_let_go_is_ended_by_force(what: str, tmp_path: Path) -> None:
     """A library that computes and looks at no signal, and one that swallows the interruption."""
-    script = tmp_path / "stuck.py"
-    script.write_text(STUCK.format(what))
-    process = subprocess.Popen(
-        command()[:1] + [str(script)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment(),
-    )
-    seconds, code, error = end_of(process, after=1.5)
+    seconds, code, error = interrupted(tmp_path, STUCK.format(what))
     assert (code, seconds < END_SECONDS) == (130, True), (seconds, error)
     assert error == "tiler: interrupted; what it was at did not stop, so it was ended\n"

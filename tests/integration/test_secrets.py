@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import http.server
-import logging
 import re
 import threading
 from collections.abc import Iterator
@@ -71,18 +70,6 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"127.0.0.1:{server.server_port}"
         server.shutdown()
-
-
-@pytest.fixture
-def logging_as_before() -> Iterator[None]:
-    root, own = logging.getLogger(), [logging.getLogger(n) for n in ("tiler", "ptd", "cli")]
-    handlers, level = root.handlers[:], root.level
-    yield
-    logging.captureWarnings(False)
-    root.handlers[:] = handlers
-    root.setLevel(level)
-    for logger in own:
-        logger.setLevel(logging.NOTSET)
 
 
 def assert_secret(folder: Path, *texts: str) -> None:

@@ -13,10 +13,10 @@ import pytest
 
 from ptd.frame import Cells, Scale, Window
 from ptd.methods import METHODS
-from ptd.params import parameter
 from ptd.passes import Method, MethodRefusal, Model, Pass, Points, State
 from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings, stored_labels
+from tests.ptd import medians
 from tests.ptd.tiling import inside
 from tiler.errors import ConfigError
 from tiler.plan import make_plan, plan_json, plan_lines
@@ -94,14 +94,7 @@ class LonelyLow(Pass):
         return Lonely(points, scale)
 
 
-@dataclass(frozen=True)
-class Parameters:
-    unused_m: float = parameter(1.0, "nothing", unit="m", minimum=0.0, maximum=9.0)
-    halo_m = 8.0
-    align_m = 8.0
-    margin_m = 0.0
-    candidate_cell_m = 1.0
-
+class Parameters(medians.Parameters):
     @property
     def passes(self) -> tuple[Pass, ...]:
         return (MeanHeight(), SplitByMean(), LonelyLow())

@@ -115,10 +115,6 @@ def timings(run: Run) -> Node:
         }
     )
     before, tasks = done_before(run), sum(s["tasks"] for s in stages.values())
-    earlier = (
-        f"{before:,} of {tasks:,} tasks were done by earlier runs; the stages' times are of the last one."
-    )
-    before, tasks = done_before(run), sum(s["tasks"] for s in stages.values())
     earlier = f"{before:,} of {tasks:,} tasks were done by earlier runs; the times of stages are those of the last one."
     return section(
         "timings",

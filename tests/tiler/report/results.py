@@ -16,6 +16,16 @@ WEST, NORTH, PIXEL = 500000.0, 5400000.0, 1.0
 HOSTILE = '</script><img src=x onerror=alert(1)>\x1b\udc80\u202e&amp;".laz'
 """A file's name that tries to be markup, colour and bytes that are no UTF-8."""
 
+EVALUATION = {
+    "type_1": 0.0123,
+    "type_2": None,
+    "total": 0.01,
+    "kappa": 0.975,
+    "points": 3790,
+    "dtm": {"unit": "metre", "rmse": 0.1234, "bias": -0.01, "pixels": 1200},
+}
+"""As `tiler evaluate --json` prints it."""
+
 
 def tile(number: int, across: int, side: float, **changes: Any) -> dict[str, Any]:
     column, row = number % across, number // across

@@ -18,15 +18,6 @@ from tiler.errors import ConfigError, InputError
 from tiler.report import earlier_statistics
 from tiler.report.html import write_report
 
-EVALUATION = {
-    "type_1": 0.0123,
-    "type_2": None,
-    "total": 0.01,
-    "kappa": 0.975,
-    "points": 3790,
-    "dtm": {"unit": "metre", "rmse": 0.1234, "bias": -0.01, "pixels": 1200},
-}
-
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
@@ -45,7 +36,7 @@ def measured(folder: Path) -> dict[str, object]:
 
 @pytest.mark.parametrize("name", ["check.json", "evaluate.json"])
 def test_what_was_measured_with_junk_anywhere(name: str, out: Path, tmp_path: Path) -> None:
-    document = json.loads(json.dumps(EVALUATION if name == "evaluate.json" else measured(tmp_path)))
+    document = json.loads(json.dumps(results.EVALUATION if name == "evaluate.json" else measured(tmp_path)))
     (out / name).write_text(json.dumps(document))
     assert name not in results.read(write_report(out)).texts["accuracy"]
     blamed = 0

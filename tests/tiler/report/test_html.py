@@ -151,18 +151,7 @@ def test_a_run_without_rasters_has_a_map_of_its_plan(tmp_path: Path) -> None:
 
 def test_measured_accuracy_is_shown(tmp_path: Path) -> None:
     out = results.write(tmp_path / "out", results.run())
-    (out / "evaluate.json").write_text(
-        json.dumps(
-            {
-                "type_1": 0.0123,
-                "type_2": None,
-                "total": 0.01,
-                "kappa": 0.975,
-                "points": 3790,
-                "dtm": {"unit": "metre", "rmse": 0.1234, "bias": -0.01, "pixels": 1200},
-            }
-        )
-    )
+    (out / "evaluate.json").write_text(json.dumps(results.EVALUATION))
     text = results.read(write_report(out)).texts["accuracy"]
     for figure in ("1.23 %", "1.00 % of 3,790 points", "97.50 %", "RMSE 0.123 metre", "mean -0.010 metre"):
         assert figure in text

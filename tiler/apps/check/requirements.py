@@ -19,7 +19,6 @@ class Metric:
 
     Attributes
     ----------
-    help : str
     value : callable
         From a report (parts ``accuracy``, ``seams``, ``strips``) to the figure, None where it is not there.
     part : str
@@ -29,7 +28,6 @@ class Metric:
         Else at most.
     """
 
-    help: str
     part: str
     value: Callable[[Mapping[str, Any]], float | None]
     is_length: bool = True
@@ -45,18 +43,16 @@ def _nva(key: str) -> Callable[[Mapping[str, Any]], float | None]:
 
 
 METRICS: dict[str, Metric] = {
-    "rmse": Metric("RMSE with the checkpoints' own error", "accuracy", _nva("rmse_v")),
-    "mean": Metric("size of the mean difference", "accuracy", _nva("bias")),
-    "median": Metric("size of the median", "accuracy", _nva("median")),
-    "nmad": Metric("NMAD", "accuracy", _nva("nmad")),
-    "p95": Metric("95th percentile of the sizes", "accuracy", _nva("p95_abs")),
-    "max": Metric("largest size", "accuracy", _nva("max_abs")),
-    "outliers": Metric("outliers", "accuracy", _nva("outliers"), is_length=False),
-    "points": Metric("checkpoints that have a height", "accuracy", _nva("points"), False, at_least=True),
-    "seam": Metric(
-        "mean jump across tile edges above that beside them", "seams", lambda seams: seams["excess"]
-    ),
-    "strips": Metric("RMSE between strips", "strips", lambda strips: strips["all"]["rmse"]),
+    "rmse": Metric("accuracy", _nva("rmse_v")),
+    "mean": Metric("accuracy", _nva("bias")),
+    "median": Metric("accuracy", _nva("median")),
+    "nmad": Metric("accuracy", _nva("nmad")),
+    "p95": Metric("accuracy", _nva("p95_abs")),
+    "max": Metric("accuracy", _nva("max_abs")),
+    "outliers": Metric("accuracy", _nva("outliers"), is_length=False),
+    "points": Metric("accuracy", _nva("points"), False, at_least=True),
+    "seam": Metric("seams", lambda seams: seams["excess"]),
+    "strips": Metric("strips", lambda strips: strips["all"]["rmse"]),
 }
 """Figures by name; those of checkpoints are of the non-vegetated ones, since vegetated accuracy is never judged."""
 
