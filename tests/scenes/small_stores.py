@@ -10,7 +10,7 @@ USUAL_ROW_POINTS = layout.ROW_POINTS
 
 
 def small_stores(patch: pytest.MonkeyPatch, bucket_points: int = 1000, row_points: int = 1024) -> None:
-    """Let new stores have buckets (of 32 m for 1000 points at one a square metre) and rows of about so many points.
+    """Let new stores have buckets (32 m for 1000 points at one a square metre) and rows of about so many points.
 
     Neither changes a result. Rows are known to this process alone: workers need the usual.
     """
