@@ -18,7 +18,7 @@ def write_copc(path: Path, las: laspy.LasData, most: int = MOST) -> Path:
     """Write the points of a cloud of format 6, 7 or 8 as COPC 1.0."""
     xyz = np.asarray(las.xyz)
     low, side = xyz.min(axis=0), float(np.ptp(xyz, axis=0).max()) or 1.0
-    nodes = _nodes(xyz, low, side, most)
+    nodes = nodes_of(xyz, low, side, most)
     vlrs = [v for v in las.header.vlrs if v.user_id not in ("laszip encoded", "copc")]
     info = laspy.VLR("copc", 1, "", bytes(160))
     header = laspy.LasHeader(version="1.4", point_format=las.header.point_format)
@@ -47,7 +47,7 @@ def write_copc(path: Path, las: laspy.LasData, most: int = MOST) -> Path:
     return path
 
 
-def _nodes(
+def nodes_of(
     xyz: npt.NDArray[np.float64], low: npt.NDArray[np.float64], side: float, most: int
 ) -> dict[tuple[int, int, int, int], npt.NDArray[np.int64]]:
     """Rows of each node by its key: the first ``most`` in a random order, the others below."""

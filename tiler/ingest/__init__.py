@@ -8,10 +8,11 @@ Before them, for the plan: `find_inputs`, `inspect` (several files at a time), `
 from tiler.ingest.assemble import AssembleBuckets, BucketParts, assemble_buckets
 from tiler.ingest.common_crs import Agreement, agree
 from tiler.ingest.extent import FAR
-from tiler.ingest.georeference import Georeference
+from tiler.ingest.georeference import Georeference, describe
 from tiler.ingest.patches import Patch
+from tiler.ingest.point_tiles import PointTiles, Touches, is_point_tiles, read_point_tiles
 from tiler.ingest.requantise import bounds_in_counts
-from tiler.ingest.search import find_inputs
+from tiler.ingest.search import find_inputs, is_list
 from tiler.ingest.sources import (
     SourceInfo,
     claimed_bounds,
@@ -23,7 +24,6 @@ from tiler.ingest.sources import (
 )
 from tiler.ingest.spool import OUTSIDE_AREA, SpoolPiece, spool_piece
 from tiler.ingest.strays import Strays, find_strays
-from tiler.ingest.virtual_cloud import is_virtual
 
 __all__ = [
     "FAR",
@@ -33,20 +33,25 @@ __all__ = [
     "BucketParts",
     "Georeference",
     "Patch",
+    "PointTiles",
     "SourceInfo",
     "SpoolPiece",
     "Strays",
+    "Touches",
     "agree",
     "assemble_buckets",
     "bounds_in_counts",
     "claimed_bounds",
+    "describe",
     "find_inputs",
     "find_strays",
     "inspect",
     "inspect_guarded",
-    "is_virtual",
+    "is_list",
+    "is_point_tiles",
     "pieces",
     "read_guarded",
+    "read_point_tiles",
     "spool_piece",
     "window_pieces",
 ]

@@ -1,4 +1,4 @@
-"""Finds the input clouds in files, folders, globs and virtual point clouds, without files that runs of tiler wrote."""
+"""Finds input clouds in files, folders, globs, virtual point clouds and EPT, without files that runs of tiler wrote."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from tiler.errors import ConfigError, InputError
+from tiler.ingest.point_tiles import PointTiles, Touches, is_point_tiles, node_files, read_point_tiles
 from tiler.ingest.virtual_cloud import is_virtual, members
 from tiler.io.locations import cloud_path, is_url, list_clouds
 from tiler.io.partial_files import SCRATCH_PREFIX
@@ -19,6 +20,7 @@ MADE = (CLASSIFIED, ASIDE)
 """Folders in OUT that hold clouds which runs wrote."""
 
 Tell = Callable[[str], None]
+Wanted = Callable[[PointTiles], Touches | None]
 
 
 def find_inputs(
@@ -26,8 +28,9 @@ def find_inputs(
     out: Path | None = None,
     note: Tell = lambda text: None,
     results: bool = False,
+    wanted: Wanted = lambda tiles: None,
 ) -> list[Path]:
-    """The LAS and LAZ files of files, folders (recursively), globs and virtual point clouds, sorted, each once.
+    """The LAS and LAZ files of files, folders (recursively), globs, virtual point clouds and EPT, sorted, each once.
 
     What a run of tiler wrote is found by neither folders nor globs, wherever it lies below them, but only where its own
     folder, or a file in it, is named.
@@ -41,11 +44,13 @@ def find_inputs(
         Told of what is left out, and of a file that was named twice.
     results : bool
         A folder of results that is named itself, and holds no cloud beside them, stands for its classified clouds.
+    wanted : callable
+        Gives what tells which nodes of point tiles are wanted (see `node_files`).
 
     Raises
     ------
     ConfigError
-        A path that is not there, or no path at all.
+        A path that is not there, no path at all, or point tiles of which nothing is wanted.
     InputError
         No LAS or LAZ among them.
     """
@@ -58,10 +63,10 @@ def find_inputs(
         told.append(text)
         note(text)
 
-    for text in _without_virtual(map(str, paths), found):
+    for text in _without_virtual(map(str, paths), found, wanted):
         root, candidates = _expanded(text, tell)
-        wanted = results and not is_url(text) and not any(path.parent == root for path in candidates)
-        for path in _Made(root, root / CLASSIFIED if wanted else None, out, tell).without(candidates):
+        own = results and not is_url(text) and not any(path.parent == root for path in candidates)
+        for path in _Made(root, root / CLASSIFIED if own else None, out, tell).without(candidates):
             if (known := found.setdefault(_real(path), path)) is not path:
                 tell(f"{path}: named twice (as {known}), read once")
     if not found:
@@ -73,16 +78,30 @@ def find_inputs(
     return sorted(found.values(), key=lambda path: (is_url(path), str(path) if is_url(path) else path))
 
 
-def _without_virtual(texts: Iterable[str], found: dict[Path, Path]) -> Iterator[str]:
-    """The inputs that are no virtual point clouds; the clouds that those name are found."""
+def is_list(text: str | Path) -> bool:
+    """Whether an input is named as a file that stands for the clouds it tells of is: .vpc, or ept.json."""
+    return is_virtual(text) or is_point_tiles(text)
+
+
+def _without_virtual(texts: Iterable[str], found: dict[Path, Path], wanted: Wanted) -> Iterator[str]:
+    """The inputs that are no virtual point clouds or EPT; the clouds that those name are found."""
     for text in texts:
         globbed = not is_url(text) and glob.has_magic(text) and not os.path.lexists(text)
-        for place in sorted(glob.glob(text, recursive=True)) if globbed and is_virtual(text) else [text]:
-            if not is_virtual(place) or Path(place).is_dir() or not (is_url(place) or os.path.lexists(place)):
+        for place in sorted(glob.glob(text, recursive=True)) if globbed and is_list(text) else [text]:
+            if not is_list(place) or Path(place).is_dir() or not (is_url(place) or os.path.lexists(place)):
                 yield place
             else:
-                for path in members(place, SUFFIXES):
+                for path in members(place, SUFFIXES) if is_virtual(place) else _nodes(place, wanted):
                     found.setdefault(_real(path), path)
+
+
+def _nodes(place: str, wanted: Wanted) -> list[Path]:
+    """The files of the nodes of point tiles that are wanted."""
+    tiles = read_point_tiles(place)
+    found = node_files(tiles, wanted(tiles))
+    if not found:
+        raise ConfigError(f"{place}: has no points near the area that is wanted; see to --bounds or --aoi")
+    return found
 
 
 def _real(path: Path) -> Path:

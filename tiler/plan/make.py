@@ -18,7 +18,7 @@ from tiler.core.area import Area
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded, is_virtual
+from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded, is_list
 from tiler.io.locations import cloud_path, is_url
 from tiler.io.result_folder import CLOUD_SUFFIXES, COPC_SUFFIX
 from tiler.plan import advice, machine, sizes
@@ -30,6 +30,7 @@ from tiler.plan.drawings import with_drawings
 from tiler.plan.memory import PlannedPass, fine_cell_m
 from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
 from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
+from tiler.plan.tiles_of_points import near_nodes, refuse_far, with_crs_of_tiles
 from tiler.report import earlier_statistics
 from tiler.schedule import Guards
 from tiler.store import StoreMeta
@@ -61,10 +62,11 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     parameters, defaults = _method(config)
     notes: list[str] = []
     folder = None if out is None or is_url(out) else Path(out)
-    paths = find_inputs(inputs, folder, notes.append)
+    paths = find_inputs(inputs, folder, notes.append, wanted=partial(near_nodes, config))
     if out is not None:
         refuse_places(config, str(out), paths)
     sources, unreadable = _inspect_all(paths, config)
+    sources = with_crs_of_tiles(inputs, sources)
     agreement = agree(sources, config)
     notes += agreement.notes
     notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
@@ -78,6 +80,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     while remedy := too_much_between(plan, folder):
         found = _without(found, minority(plan.filled, agreement.wkt, metres, remedy), config)
         plan = _settled(found, config, parameters, defaults)
+    refuse_far(plan, inputs)
     plan = with_drawings(plan)
     refuse(plan, folder)
     if out is not None:
@@ -166,7 +169,7 @@ def output_names(
 ) -> dict[Path, Path]:
     """Path of each classified file below OUT/classified; ConfigError where two would be one."""
     # A URL names what is below it, or one object: then nothing is left of the name below it.
-    named = [(cloud_path(i), is_virtual(i) and not Path(i).is_dir()) for i in inputs]
+    named = [(cloud_path(i), is_list(i) and not Path(i).is_dir()) for i in inputs]
     folders = [p.parent if virtual else p for p, virtual in named if virtual or is_url(p) or p.is_dir()]
     names: dict[Path, Path] = {}
     taken: dict[str, Path] = {}
