@@ -124,7 +124,7 @@ def test_a_file_that_comes_while_the_run_goes_on_is_not_replaced(
     [
         "tiler.runs.job.write_run_file",
         "tiler.export.cog._publish",
-        "tiler.export.classified._write_back",
+        "tiler.export.classified.write_back",
         "tiler.stages.export._basis",
     ],
 )
