@@ -23,7 +23,7 @@ STEP_M, STEP_SIGMAS = 0.5, 3.0
 DIAGONAL = 1.4
 NEAR_M, NEAR_SHARE = 1.0, 0.2
 """A surface of which this share lies so near the stiff hull, or more, is terrain."""
-FALL_M, FALL_CELLS, FALL_SHARE = 1.2, 2, 0.4
+FALL_M, FALL_CELLS, FALL_SHARE = 1.2, 2, 0.6
 """At an object's rim this share of the cells, or more, has another surface so far below within so many cells."""
 ALL_FALLS = 0.9
 """At a rim that falls nearly everywhere it does not matter how near the hull is: halls may be too wide for that."""

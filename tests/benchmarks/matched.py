@@ -1,8 +1,9 @@
 """`auto` and other people's filters on semi-real matched clouds: errors of labels and of the terrain, as Markdown.
 
-``python tests/benchmarks/matched.py [--scenes rows,bluff] [--methods auto,CSF] [--keep FOLDER]``
+``python tests/benchmarks/matched.py [--scans] [--scenes rows,bluff] [--methods auto,CSF] [--keep FOLDER]``
 
-The scenes are those of ``../shared/data/dim/semireal``; every filter has one setting for all of them and sees no label.
+The scenes are those of ``../shared/data/dim/semireal``, with ``--scans`` those made of laser scans
+(``tests/benchmarks/scan_scenes.py``); every filter has one setting for all of them and sees no label.
 No times, and no choice of settings: see ``tests/benchmarks/scorecard.py``. What `tiler run` makes of these scenes:
 ``tests/benchmarks/matched_runs.py``.
 """
@@ -21,6 +22,7 @@ if __name__ == "__main__":
 from tests.benchmarks.kept import Kept
 from tests.benchmarks.measuring import FLOOR, Cell
 from tests.benchmarks.peers import digest_of_peers, installed_peers, missing_peers
+from tests.benchmarks.scan_scenes import scan_scenes
 from tests.benchmarks.scorecard import DATA, Entry, all_filters, run_all
 from tests.benchmarks.scorecard_scenes import BenchScene, semi_real_scenes
 from tests.benchmarks.scorecard_text import percent, table
@@ -63,15 +65,18 @@ def _figures(cells: Sequence[Cell]) -> str:
 def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description="Measure `auto` and its peers on semi-real matched clouds.")
+    parser.add_argument("--scans", action="store_true", help="scenes made of laser scans")
     parser.add_argument("--scenes", help="only these, with commas")
     parser.add_argument("--methods", help="only those whose names begin so, with commas")
     parser.add_argument("--keep", type=Path, help="folder for what was measured, to be used again")
     given = parser.parse_args(arguments)
-    chosen = list(scenes) if scenes is not None else list(semi_real_scenes(DATA))
+    chosen = (
+        list(scenes) if scenes is not None else list((scan_scenes if given.scans else semi_real_scenes)(DATA))
+    )
     if given.scenes is not None:
         chosen = [scene for scene in chosen if scene.name in given.scenes.split(",")]
     if not chosen:
-        sys.exit(f"no scene: there is none of these in {DATA / 'dim/semireal'}")
+        sys.exit(f"no scene: there is nothing for any of these in {DATA}")
     filters = filters_of(None if given.methods is None else given.methods.split(","))
     cells = run_all(
         chosen, filters, 0, lambda line: print(line, file=sys.stderr, flush=True), Kept(given.keep)
