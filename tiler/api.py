@@ -18,6 +18,7 @@ from tiler.apps.classify import classify_file
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
+from tiler.io.locations import cloud_path
 from tiler.observe.events import Listener, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.pipeline import run as run_job
@@ -145,8 +146,9 @@ def classify(
 
     Parameters
     ----------
-    source, target : path
-        The target is LAZ or LAS, by its name, and appears when it is whole.
+    source : path or URL
+    target : path
+        LAZ or LAS, by its name; it appears when it is whole.
     config, progress
         As of `run`.
 
@@ -218,7 +220,7 @@ def check(
 
     Parameters
     ----------
-    dtm : path
+    dtm : path or URL
         A raster of heights.
     points : path, optional
         Checkpoints: CSV (x, y, z, type NVA or VVA, cover), GeoJSON, GeoPackage and others.
@@ -253,7 +255,7 @@ def check(
     >>> result.met, result.summary["accuracy"]["nva"]["points"]
     (True, 3)
     """
-    dtm, clouds = Path(dtm), _texts(strips)
+    dtm, clouds = cloud_path(dtm), _texts(strips)
     points, figures = (None if path is None else Path(path) for path in (points, figures))
     requirements = checks.parse_requirements(_texts(require))
     if figures is not None:

@@ -17,7 +17,7 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
 
 
 @click.command("check", cls=TilerCommand)
-@click.argument("dtm", metavar="DTM", type=click.Path(path_type=Path))
+@click.argument("dtm", metavar="DTM")
 @click.option(
     "--points",
     type=click.Path(path_type=Path),
@@ -61,7 +61,7 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
 )
 @json_option
 def command(
-    dtm: Path,
+    dtm: str,
     points: Path | None,
     points_crs: str | None,
     points_unit: str | None,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from cli.options import json_option
@@ -12,14 +10,14 @@ from cli.session import TilerCommand
 
 
 @click.command("clean", cls=TilerCommand)
-@click.argument("out", type=click.Path(path_type=Path), metavar="OUT")
+@click.argument("out", metavar="OUT")
 @click.option(
     "--store",
     metavar="URL",
     help="where the store lies [default: as OUT/run.json says (without password or token of a URL), or OUT/store.zarr]",
 )
 @json_option
-def command(out: Path, store: str | None, as_json: bool) -> None:
+def command(out: str, store: str | None, as_json: bool) -> None:
     """Remove what a run left behind and no later one needs.
 
     Scratch files of runs that were killed, decoded points that lie sorted in the store as well, older indices. The

@@ -12,6 +12,7 @@ from tiler.errors import ConfigError
 from tiler.export import WriteClassified, write_classified
 from tiler.filter import LABELS
 from tiler.ingest import inspect, inspect_guarded, read_guarded
+from tiler.io.locations import cloud_path, is_url, state_at
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.result_folder import COPC_SUFFIX, STORE
 from tiler.observe.events import Listener, silent
@@ -52,14 +53,16 @@ def classify_file(
     ------
     TilerError
     """
-    source, target, config = Path(source), Path(target), config or RunConfig()
+    if is_url(target):
+        raise ConfigError(f"{target}: one file is written here; name a file, `tiler run` writes to URLs")
+    source, target, config = cloud_path(source), Path(target), config or RunConfig()
     if config.method == KEEP:
         raise ConfigError(
             "--method keep changes no class; `tiler run --method keep` grids what the input brings"
         )
     check_targets([Target("", target, (".laz", ".las"))], [source])
-    if not source.exists():
-        raise ConfigError(f"{source}: no such file")
+    if state_at(str(source)) is None:
+        raise ConfigError(f"{source}: no such file; name a LAS or LAZ file")
     with Guard() as guard:
         return _classify(guard, source, target, config, listener)
 

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError
+from tiler.io.locations import is_url, joined
 from tiler.io.partial_files import is_scratch
 from tiler.io.result_folder import STORE, earlier_outputs, read_run
 from tiler.store import locked_folder, open_store
 
 
-def clean(out: Path, store_url: str | None = None) -> dict[str, Any]:
+def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
     """Remove scratch and spool of a finished or broken run; the next run finds everything else done.
 
     Kept are the points, the labels of all passes, the rasters and what is done. A run that later has to assemble
@@ -20,7 +21,7 @@ def clean(out: Path, store_url: str | None = None) -> dict[str, Any]:
 
     Parameters
     ----------
-    out : Path
+    out : path or URL
         The run's folder.
     store_url : str, optional
         Where its store lies; default: as its ``run.json`` says, else ``store.zarr`` in the folder.
@@ -40,14 +41,15 @@ def clean(out: Path, store_url: str | None = None) -> dict[str, Any]:
     LockedError
         A run is at work on the folder or its store.
     """
-    if not out.is_dir():
+    place = str(out) if is_url(out) else str(Path(out).resolve())
+    if not (is_url(out) or Path(out).is_dir()):
         raise ConfigError(f"{out}: no such folder; name the OUT of a run")
-    store = open_store(store_url or _store_of(out))
-    with locked_folder(str(out.resolve())), store.lock():
+    store = open_store(store_url or _store_of(place))
+    with locked_folder(place), store.lock():
         before = store.usage()
         store.tidy()
         after = store.usage()
-        scratch = list(_scratch(out))
+        scratch = [] if is_url(out) else list(_scratch(Path(out)))  # objects appear whole
         sizes = [path.stat().st_size for path in scratch]
         for path in scratch:
             path.unlink(missing_ok=True)
@@ -69,8 +71,8 @@ def _scratch(out: Path) -> Iterator[Path]:
             yield from sorted(path for path in folder.iterdir() if is_scratch(path.name) and path.is_file())
 
 
-def _store_of(out: Path) -> str:
+def _store_of(place: str) -> str:
     """The store that the run of a folder used."""
-    configuration = (read_run(str(out)) or {}).get("configuration")
+    configuration = (read_run(place) or {}).get("configuration")
     named = configuration.get("store") if isinstance(configuration, dict) else None
-    return str(named or out.resolve() / STORE)
+    return str(named or joined(place, STORE))

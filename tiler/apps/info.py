@@ -12,7 +12,8 @@ import numpy.typing as npt
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
 from tiler.io.json_text import read_object
-from tiler.io.result_folder import RUN, STORE
+from tiler.io.locations import cloud_path, is_url, joined, state_at
+from tiler.io.result_folder import RUN, STORE, read_run
 
 if TYPE_CHECKING:
     from tiler.store import TileStore
@@ -47,7 +48,7 @@ def describe(path: str) -> dict[str, Any]:
     Parameters
     ----------
     path : str
-        A LAS or LAZ file, a tile store (path or URL), a result folder of a run, or a raster.
+        Path or URL of a LAS or LAZ file, a tile store, a result folder of a run, or a raster.
 
     Returns
     -------
@@ -62,9 +63,9 @@ def describe(path: str) -> dict[str, Any]:
     StoreError
         A store that this version did not write.
     """
-    if "://" in path:
-        return describe_store(path)
-    place = Path(path)
+    place = cloud_path(path)
+    if is_url(path) and state_at(path) is None:
+        return describe_result(place) if read_run(path) is not None else describe_store(path)
     if not place.exists():
         raise InputError(
             f"{path}: no such file or folder; name a cloud, a store, a result folder or a raster"
@@ -222,6 +223,8 @@ def _commits(store: TileStore) -> dict[str, Any]:
 
 def describe_result(folder: Path) -> dict[str, Any]:
     """Facts of the OUT of a run: its run.json, and its store where it is still there."""
+    from tiler.store import store_exists
+
     try:
         run = read_object((folder / RUN).read_text("utf-8"))
     except OSError as error:
@@ -233,10 +236,10 @@ def describe_result(folder: Path) -> dict[str, Any]:
         "path": str(folder),
         **{name: run.get(name) for name in _RUN_FACTS},
     }
-    store = folder / STORE
-    if store.is_dir():
+    store = joined(str(folder), STORE)
+    if store_exists(store):
         try:
-            facts["store"] = describe_store(str(store))
+            facts["store"] = describe_store(store)
         except StoreError as error:
             facts["store"] = {"unreadable": str(error)}
     return facts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -136,17 +136,14 @@ def _write_points(
     statistics = CloudStatistics(form)
     highest = LEGACY_CLASS_MASK if is_legacy(form.point_format) else 255
     step = rows_at_once(max(header.record_length, form.record_length), _STEP)
-    spans = work.ranges or [
-        (first, min(ROWS_AT_ONCE, header.point_count - first))
-        for first in range(0, header.point_count, ROWS_AT_ONCE)
-    ]
     with _reader(store, header, work) as reader:
-        for first, number in spans:
-            last = first + number
+        for ranges in _spans(work.ranges or [(0, header.point_count)]):
+            first, last = ranges[0][0], ranges[-1][1]
             found = collect_labels(store, work, first, last)
             wanted = _inside_area(store, work, first, last) if work.ranges else None
-            for start in range(first, last, step):
-                stop = min(start + step, last)
+            for start, stop in (
+                (s, min(s + step, end)) for begin, end in ranges for s in range(begin, end, step)
+            ):
                 records = reader.read(start, stop - start)
                 if isinstance(writer, PointWriter):
                     channels |= _channels(header, records)
@@ -182,6 +179,23 @@ def _reader(
         dtype = record_dtype(header.point_format, header.record_length)
         kept = store.records(work.pieces, header.point_count, dtype)
     return PointReader(header, EVERYTHING, ranges=work.ranges) if kept is None else nullcontext(kept)
+
+
+def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
+    """Ranges (start, count) of rows as (first, end), those together that lie within `ROWS_AT_ONCE` rows.
+
+    The buckets are read once for what is together: the nodes of an octree are many, and may be small.
+    """
+    together: list[tuple[int, int]] = []
+    for start, count in ranges:
+        for first in range(start, start + count, ROWS_AT_ONCE):
+            end = min(first + ROWS_AT_ONCE, start + count)
+            if together and end - together[0][0] > ROWS_AT_ONCE:
+                yield together
+                together = []
+            together.append((first, end))
+    if together:
+        yield together
 
 
 def _channels(header: LasHeader, records: Records) -> set[int]:

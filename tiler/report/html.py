@@ -13,9 +13,9 @@ from rasterio.errors import RasterioError
 from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, refused_write
 from tiler.io.json_text import read_object
-from tiler.io.locations import joined, state_at
+from tiler.io.locations import is_url, joined, put_file, state_at
 from tiler.io.partial_files import partial_path
-from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN
+from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN, folder_here, read_run
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import Node, el, section
 from tiler.report.drawn import drawn
@@ -71,6 +71,25 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
             partial.unlink(missing_ok=True)
         raise refused_write(str(target), error, out) from error
     return target
+
+
+def write_report_at(out: str) -> str:
+    """`write_report` for the OUT of a run, also where that is a URL: then from what lies there, and copied to it.
+
+    Returns
+    -------
+    str
+        Path or URL of the report.
+    """
+    if not is_url(out):
+        return str(write_report(Path(out)))
+    run = read_run(out)
+    if run is None:
+        raise InputError(f"{joined(out, RUN)}: cannot be read; name the OUT of a run")
+    here = folder_here(out)
+    here.mkdir(parents=True, exist_ok=True)
+    put_file(write_report(here, run, out), joined(out, REPORT))
+    return joined(out, REPORT)
 
 
 def _read_run(out: Path) -> dict[str, Any]:

@@ -248,3 +248,10 @@ def test_wave_packets_of_several_channels_are_refused_not_damaged(
     with pytest.raises(ProcessingError, match=r"scanner channels \[0, 1\]"):
         export(path, tmp_path / "out" / "w.laz", ())
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_nodes_that_lie_together_share_what_is_read_of_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(classified, "ROWS_AT_ONCE", 10)
+    ranges = [(0, 3), (4, 2), (9, 4), (30, 25)]
+    spans = list(classified._spans(ranges))
+    assert spans == [[(0, 3), (4, 6)], [(9, 13)], [(30, 40)], [(40, 50)], [(50, 55)]]

@@ -23,6 +23,7 @@ from tiler.apps.evaluate.rasters import open_raster
 from tiler.errors import ConfigError
 from tiler.export.geotiff import raster_errors
 from tiler.export.picture import png_bytes
+from tiler.io.locations import cloud_path
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.partial_files import appearing
 from tiler.redaction import shown
@@ -89,7 +90,7 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, An
         The files cannot be written.
     """
     folder = Path(folder)
-    drawings = dict(zip(FILES, (histogram(accuracy), point_map(Path(dtm), accuracy)), strict=True))
+    drawings = dict(zip(FILES, (histogram(accuracy), point_map(cloud_path(dtm), accuracy)), strict=True))
     with raster_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in drawings.items():

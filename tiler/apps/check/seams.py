@@ -27,6 +27,7 @@ from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError, InputError
 from tiler.io.json_text import read_object
+from tiler.io.locations import cloud_path
 from tiler.io.result_folder import RUN
 
 BESIDE = (3, 20)
@@ -195,9 +196,9 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
     TilerError
         As `seam_steps` and `edges_of_run`; always where the DTM cannot be read.
     """
-    metres = horizontal_unit(Path(dtm))
+    metres = horizontal_unit(cloud_path(dtm))
     if tile_m is None:
-        edges = edges_of_run(Path(dtm))
+        edges = edges_of_run(cloud_path(dtm))
         return None if edges is None else seam_steps(dtm, edges)
     if tile_m <= 0:
         raise ConfigError(f"--tile-size {tile_m}: must be above 0")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import InputError
+from tiler.io.locations import is_url, state_at
 from tiler.redaction import printable
 
 
@@ -20,12 +21,23 @@ def open_raster(path: Path | str, what: str = "cannot be read") -> Iterator[Any]
     InputError
         The raster cannot be opened or read, or what it says of itself is no text or no CRS.
     """
-    import rasterio
-
-    with raster_named(path, what), rasterio.open(path) as raster:
+    with raster_named(path, what), opened(path) as raster:
         # Damaged text is told of here: where two rasters are open, it is not known later whose it was.
         _ = raster.units, raster.tags(), raster.tags(1), raster.crs
         yield raster
+
+
+def opened(path: Path | str) -> Any:
+    """The data set of rasterio; of one at a URL what is asked for is read, as its overviews need little."""
+    import rasterio
+
+    if not is_url(path):
+        return rasterio.open(path)
+    from fsspec.core import url_to_fs
+
+    if state_at(str(path)) is None:
+        raise InputError(f"{path}: nothing there; name a raster")
+    return rasterio.open(str(path), opener=url_to_fs(str(path))[0])
 
 
 @contextmanager
