@@ -34,7 +34,8 @@ def command(template: bool, **settings: Any) -> None:
     config = read_config(settings)
     if config.store is not None and config.store != without_secrets(config.store):
         say(
-            "tiler: warning: store: without its user, password and query, which are shown nowhere", error=True
+            "tiler: warning: store: written without the user, password and query of its URL, which tiler never shows",
+            error=True,
         )
     lines = [HEAD, *_preset_lines(config.preset), ""]
     for name in (n for n in SETTINGS if n != LAST):

@@ -68,7 +68,9 @@ def test_what_never_ends_is_given_up(
     monkeypatch.setattr("tiler.schedule.isolated_reading.BYTES_PER_SECOND", 1e8)
     assert main(asked(cloud, hostile, tmp_path / "out")[name]) == 3
     assert_one_line(
-        capsys.readouterr().err, "what reads it did not end within", str(next(iter(hostile.values())).parent)
+        capsys.readouterr().err,
+        "the process that reads it did not end within",
+        str(next(iter(hostile.values())).parent),
     )
 
 

@@ -114,7 +114,7 @@ def make_preview(
         found: list[Window] = []
         for bounds, paths in zip(windows, files, strict=True):
             if paths:
-                listener("note", {"text": f"window {len(found) + 1}"})
+                listener("note", {"text": f"draw window {len(found) + 1} of {len(windows)} at most"})
                 column, window = _window(bounds, paths, settings, tell)
                 columns.append(column)
                 found.append(window)

@@ -153,7 +153,7 @@ def _units(members: Sequence[tuple[Path, Georeference]], text: str | None, notes
         if parts[0] != horizontal and any(g.wkt for _, g in members):
             notes.append(
                 f"--units {text}: x and y are taken as {unit_label(parts[0])} although their CRS says "
-                f"{unit_label(horizontal)}; was it only the heights, keep the first of --units h,v as the CRS has it"
+                f"{unit_label(horizontal)}; if this is the unit of the heights alone, write --units h,v"
             )
         return units
     effective = [(path, v if v is not None else horizontal) for path, v in declared]
@@ -166,7 +166,7 @@ def _units(members: Sequence[tuple[Path, Georeference]], text: str | None, notes
     silent = sum(v is None for _, v in declared)
     if silent and any(g.wkt for _, g in members):
         notes.append(
-            f"no vertical CRS in {silent} of {len(declared)} files: heights are taken as "
-            f"{unit_label(horizontal)}, the horizontal unit; --units h,v says otherwise"
+            f"no vertical CRS in {silent} of {len(declared)} files: heights are taken to be in "
+            f"{unit_label(horizontal)}, as x and y are; --units h,v says otherwise"
         )
     return Units(horizontal, effective[0][1] if effective else horizontal)

@@ -192,7 +192,7 @@ def read_guarded(guard: Guard, function: Callable[..., Read], path: Path, *argum
             f"{path}: cannot be read ({error.strerror or error}); name a readable file"
         ) from error
     except Died as died:
-        raise InputError(f"{path}: what reads it {died}; get the file again") from died
+        raise InputError(f"{path}: the process that reads it {died}; get the file again") from died
 
 
 def claimed_bounds(info: SourceInfo) -> Bounds | None:

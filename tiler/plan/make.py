@@ -264,9 +264,8 @@ def _planned_passes(
     fixed = [step for step in asked if step.reach_m is not None]
     if config.halo is not None and fixed:
         notes.append(
-            "--halo is for passes whose reach is not known beforehand; "
-            + ", ".join(f"{step.name} sees {step.reach_m:g} m" for step in fixed)
-            + ", as far as they reach"
+            "--halo does not count for passes that know how far they look: "
+            + ", ".join(f"{step.name} {step.reach_m:g} m" for step in fixed)
         )
     return tuple(
         PlannedPass(

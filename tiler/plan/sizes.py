@@ -129,12 +129,12 @@ def resolution_of(config: RunConfig, density: float, notes: list[str]) -> Fracti
         return Fraction(1)
     if spacing > config.max_edge:
         notes.append(
-            f"resolution {float(config.max_edge):g} m: the points are {spacing:.2g} m apart, and --max-edge "
-            f"{float(config.max_edge):g} m lets no height reach that far; set both"
+            f"decided: pixels of {float(config.max_edge):g} m, though points are {spacing:.2g} m apart: --max-edge "
+            f"{float(config.max_edge):g} m lets no height reach that far; set --resolution and --max-edge"
         )
         return config.max_edge
     resolution = Fraction(math.ceil(2 * spacing), 2)
     notes.append(
-        f"resolution {float(resolution):g} m: the points are {spacing:.2g} m apart; --resolution overrides"
+        f"decided: pixels of {float(resolution):g} m, as the points are {spacing:.2g} m apart (--resolution)"
     )
     return resolution

@@ -27,10 +27,12 @@ FIGURES = {
     "outliers": "outliers",
 }
 
-HOW = (
-    "Nothing was measured yet. With checkpoints: tiler check OUT/dtm.tif --points FILE --json > OUT/check.json; "
-    "with true classes: tiler evaluate CLOUD --reference REF --json > OUT/evaluate.json; then tiler report OUT."
-)
+HOW = {
+    "with checkpoints": "tiler check OUT/dtm.tif --points FILE --json > OUT/check.json",
+    "with true classes": "tiler evaluate CLOUD --reference REF --json > OUT/evaluate.json",
+    "then": "tiler report OUT",
+}
+"""Commands that fill the section."""
 
 
 def read_measured(out: Path, name: str) -> dict[str, Any]:
@@ -80,7 +82,10 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
         found.append(_classes(evaluation))
     if evaluation.get("dtm"):
         found.append(_true_dtm(evaluation["dtm"]))
-    return found or [el("p", HOW)]
+    return found or [
+        el("p", "Nothing was measured yet; these commands fill this section:"),
+        facts({when: el("code", command) for when, command in HOW.items()}),
+    ]
 
 
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:

@@ -36,7 +36,8 @@ def drawn(run: Run) -> list[Node]:
         content += [el("h3", f"Water: {len(water):,}"), table(columns, bodies, (0, 3))]
     if contours:
         text = f"{counted(contours['lines'], 'line')} of {contours['vertices']:,} vertices, every "
-        text += f"{contours['interval']:g} in the unit of the heights."
+        unit = run["plan"].get("units", {}).get("vertical", "in the unit of the heights")
+        text += f"{contours['interval']:g} {unit}."
         content += [el("h3", "Contours"), el("p", text)]
     return [section("drawn", "Drawn", *content)] if content else []
 

@@ -206,7 +206,7 @@
     }
     for (const [state, [text, colour]] of Object.entries(STATES)) {
       const n = tiles.filter((t) => stateOf(t) === state).length;
-      if (n) legend.append(swatch(colour, `${n.toLocaleString("en")} ${text}`));
+      if (n) legend.append(swatch(colour, `${n.toLocaleString("en")} ${n === 1 ? "tile" : "tiles"} ${text}`));
     }
   }
 

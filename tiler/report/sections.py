@@ -191,7 +191,7 @@ def warned(run: Run) -> list[str]:
 def decisions(run: Run) -> Node:
     """What was settled without being asked for, and why."""
     told = [el("li", text) for text in noted(run)[:MOST_ROWS]]
-    found = list(_measured(run.get("statistics", {})))
+    found = list(_measured(run))
     content: list[Content] = [table(("setting", "value", "by", "why"), settled(run))]
     if told:
         content += [el("h3", "Noted on the way"), el("ul", *told)]
@@ -203,16 +203,30 @@ def decisions(run: Run) -> Node:
     return section("decisions", "Decided automatically", *content)
 
 
-def _measured(statistics: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+FIGURES_IN_WORDS = {
+    "survey / kind": "kind of cloud",
+    "survey / density_m2": "points per m2",
+    "survey / sigma_m": "noise of heights, m",
+    "survey / cell_sigma_m": "noise of heights within cells, m",
+    "survey / label_sigma_m": "noise of heights that labels allow for, m",
+    "survey / several": "share of points that are one of several returns",
+}
+"""Figures that passes measure, as people know them; others have the names that the passes give them."""
+
+
+def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
     """Pass, figure and value; what a pass only hands on from those before, so knowing more than they, is told once."""
     known: dict[str, str] = {}
     found = sorted(
-        ((step, dict(_flat("", state))) for step, state in statistics.items()), key=lambda s: len(s[1])
+        ((step, dict(_flat("", state))) for step, state in run.get("statistics", {}).items()),
+        key=lambda s: len(s[1]),
     )
     for step, state in found:
         new = {name: text for name, text in state.items() if known.get(name) != text}
         known |= new
-        yield from ((step, name, text) for name, text in new.items() if not name.endswith("notes"))
+        for name, text in new.items():
+            if text != "-" and not name.startswith("run / ") and not name.endswith("notes"):
+                yield step, FIGURES_IN_WORDS.get(name, name), text
 
 
 def _crs_name(wkt: str | None) -> str:

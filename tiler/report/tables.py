@@ -77,11 +77,11 @@ def inputs(run: Run) -> Node:
 
 
 def outputs(run: Run) -> Node:
-    """The files that were written, with links that work beside them."""
+    """The files that were written, those in folders last, with links that work beside them."""
     found = run.get("outputs", {})
     rows = [
         (el("a", name, href=quote(os.fsencode(name))), size_text(size))
-        for name, size in list(found.items())[:MOST_ROWS]
+        for name, size in sorted(found.items(), key=lambda file: "/" in file[0])[:MOST_ROWS]
     ]
     more = f"{len(found) - MOST_ROWS:,} more are in run.json." if len(found) > MOST_ROWS else None
     body = table(("file", "size"), rows, (1,)) if rows else el("p", "None yet.")
@@ -110,7 +110,7 @@ def timings(run: Run) -> Node:
     memory = facts(
         {
             "peak of a process": size_text(run["peak_rss_bytes"]),
-            "projected for a worker": size_text(projected),
+            "planned for a worker": size_text(projected),
             "allowed for a worker": size_text(plan["memory_bytes"]),
         }
     )

@@ -102,7 +102,7 @@ def _finished(job: Job, outcome: Outcome) -> None:
     }
     _refuse_gone(job)
     if outcome.fatal:
-        raise DiskFullError(f"{task.stage} {task.key}: {outcome.error}")
+        raise DiskFullError(f"{failure['title']} {task.key}: {outcome.error}")
     if outcome.again or outcome.damaged:
         job.listener("task_again", failure)
         return
@@ -110,7 +110,9 @@ def _finished(job: Job, outcome: Outcome) -> None:
     job.listener("task_failed", dict(failure))
     job.record.failed.append(failure)
     if job.plan.config.on_error == "stop":
-        raise ProcessingError(f"{task.stage} {task.key}: {outcome.error}; --on-error skip goes on without it")
+        raise ProcessingError(
+            f"{failure['title']} {task.key}: {outcome.error}; --on-error skip goes on without it"
+        )
 
 
 def _refuse_gone(job: Job) -> None:

@@ -58,7 +58,7 @@ def read_apart(
         with Guard(memory_bytes) as guard:
             return guard.call(function, *arguments, seconds=seconds_for(paths))
     except Died as died:
-        raise InputError(f"{names}: what reads it {died}; get the file again") from died
+        raise InputError(f"{names}: the process that reads it {died}; get the file again") from died
 
 
 def half_of_memory() -> int:

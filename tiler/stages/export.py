@@ -126,7 +126,9 @@ def _tell_of_contours(job: Job) -> None:
             f"{record['low']:.1f} and {record['high']:.1f} (--contour-interval)"
         )
     if record["cut"]:
-        job.note(f"{record['cut']} contour lines are cut in two: whole they would need more memory")
+        job.note(
+            f"{record['cut']} contour lines are written in two parts: as a whole each would need more memory (--memory)"
+        )
 
 
 def _refuse_removed(job: Job) -> None:

@@ -135,6 +135,7 @@ def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[s
     }
     if facts["marked"]:
         job.note(
-            f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them"
+            f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them; "
+            "more --memory allows a wider one"
         )
     return facts

@@ -204,7 +204,8 @@ def _tell_of_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
 def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
     if job.plan.thin_ground and job.plan.config.surface_percent is None:
         job.note(
-            "one ground point a quarter pixel makes the surface: in the densest place all would be too many"
+            "decided: one ground point in each quarter of a pixel makes the surface, as all of them would need more "
+            "memory in the densest place (--memory)"
         )
     records = [record for _, record in made.values()]
     job.facts["dtm"] = {

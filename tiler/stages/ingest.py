@@ -66,12 +66,14 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
         points = sum(r["fetched"] for r in records)
         job.facts["fetched"] = {"plan": sum(s.fetched for s in job.plan.sources), "points": points}
     if rounding > 0:
-        job.note(f"coordinates were rounded to counts for filtering, by {rounding:.3g} CRS units at most")
+        job.note(
+            f"the filter's coordinates were rounded by up to {rounding:.3g} CRS units; classified clouds keep theirs"
+        )
     for reason, count in dropped.items():
-        job.note(f"{count:,} points dropped: {reason}")
+        job.note(f"{count:,} points left out: {reason}")
     if stored == 0:
         raise InputError(
-            f"all {read:,} points were dropped ({', '.join(dropped)}): nothing to make a terrain of"
+            f"all {read:,} points were dropped ({', '.join(dropped)}): nothing is left to make a terrain of"
         )
     return spooled, good
 
@@ -164,7 +166,9 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
     }
     _tell_of_strays(job, sources, assembled)
     if within or between:
-        job.note(f"duplicates take part once: {between:,} points of other files, {within:,} within files")
+        job.note(
+            f"points that lie twice in the clouds are filtered once: {between:,} in two files, {within:,} in one"
+        )
     return assembled
 
 
@@ -173,7 +177,7 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
     needed = {piece for task in todo for bucket in task.arguments.buckets for piece, *_ in bucket.fragments}
     gone = needed - job.store.pieces() if needed else set()
     if gone:
-        job.note(f"{len(gone)} pieces were removed from the store since they were decoded; they are again")
+        job.note(f"{len(gone)} parts of the decoded points are gone from the store; they are decoded again")
         job.take_back("spool", gone)
         run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
 
@@ -189,7 +193,8 @@ def _tell_of_strays(job: Job, sources: list[Source], assembled: Assembled) -> No
     job.facts["strays"] = found
     if found:
         job.note(
-            f"{len(found)} points far from all others of their file, or outside of its bounds, are not filtered"
+            f"{len(found)} points far from all others of their file, or outside of its bounds, are not filtered: "
+            "run.json lists them (strays)"
         )
 
 

@@ -69,7 +69,10 @@ def test_the_command_ends_with_5(
 
 
 def test_labels_with_a_hole_are_not_scored(cloud: Path) -> None:
-    with pytest.raises(ProcessingError, match=r"in\.laz: not scored, as 1 of its tasks failed \(filter0 t"):
+    with pytest.raises(
+        ProcessingError,
+        match=r"in\.laz: not scored, as 1 of its tasks failed \(filter: seeds, densification, labels t",
+    ):
         filter_and_evaluate([cloud], settings())
 
 

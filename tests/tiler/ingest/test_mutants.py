@@ -52,7 +52,7 @@ def outcome(guard: Guard, path: Path, salvage: bool) -> Reading | InputError:
     except InputError as error:
         return error
     except Died as died:  # what `inspect_guarded` makes of it
-        return InputError(f"{path}: what reads it {died}; get the file again")
+        return InputError(f"{path}: the process that reads it {died}; get the file again")
 
 
 def hunt(guard: Guard, original: bytes, path: Path, found: Iterator[Mutant]) -> Counter[str]:
@@ -79,7 +79,11 @@ def hunt(guard: Guard, original: bytes, path: Path, found: Iterator[Mutant]) -> 
             raise AssertionError(f"{mutant.name}: {reading}: {error}") from error
         text = str(reading)
         ends[
-            "read" if isinstance(reading, Reading) else "died" if "what reads it" in text else "refused"
+            "read"
+            if isinstance(reading, Reading)
+            else "died"
+            if "the process that reads it" in text
+            else "refused"
         ] += 1
         assert "did not end" not in text, mutant.name
     return ends

@@ -53,7 +53,8 @@ def test_counts_are_short(count: float, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "text"), [(4.23, "4.2 s"), (59.9, "59.9 s"), (60, "1:00"), (205, "3:25"), (3727, "1:02:07")]
+    ("seconds", "text"),
+    [(4.23, "4.2 s"), (59.9, "59.9 s"), (60, "1:00 min"), (205, "3:25 min"), (3727, "1:02:07 h")],
 )
 def test_durations_are_short(seconds: float, text: str) -> None:
     assert duration_text(seconds) == text

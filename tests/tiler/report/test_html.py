@@ -20,7 +20,7 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
     page = results.read(write_report(out))
     assert "Terrain of town" in page.texts[""]
     assert "4,000 points of 2 files" in page.texts[""]
-    for figure in ("4.0 k", "50.0%", "60 x 40", "1:15", "300.0 MiB", "Nothing was left out"):
+    for figure in ("4.0 k", "50.0%", "60 x 40", "1:15 min", "300.0 MiB", "Nothing was left out"):
         assert figure in page.texts[""]
     told = {
         "problems": ["heights span 9,876 m"],
@@ -36,10 +36,10 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
         "inputs": ["/data/a.laz", "/data/b.laz", "LAS 1.4, format 6", "4.0 KiB"],
         "outputs": ["dtm.tif 4.0 KiB"],
         "timings": [
-            "filter: seeds, densification, labels 4 4 1:01",
+            "filter: seeds, densification, labels 4 4 1:01 min",
             "200.0 MiB",
             "t+001+001",
-            "projected for a worker 500.0 MiB",
+            "planned for a worker 500.0 MiB",
         ],
         "settings": ["max_building_size_m 20", "label_pass yes", "numpy 2.3.4", "tiler 0.1.0"],
         "accuracy": ["Nothing was measured yet"],

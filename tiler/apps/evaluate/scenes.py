@@ -242,6 +242,6 @@ def _refuse_failed(scene: Scene, failed: Sequence[Mapping[str, Any]]) -> None:
     """Raise ProcessingError where a tile failed: its points have their true classes still."""
     if failed:
         raise ProcessingError(
-            f"{scene.reference}: not scored, as {len(failed)} of its tasks failed ({failed[0]['stage']} "
+            f"{scene.reference}: not scored, as {len(failed)} of its tasks failed ({failed[0]['title']} "
             f"{failed[0]['key']}: {failed[0]['error']}); its points there have their true classes"
         )
