@@ -91,7 +91,7 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
                 write_copc_back(header, store.meta.frame.crs_wkt, source, target, copc, statistics)
             else:
                 notes = write_front(header, source, target, compressed)
-                writer = PointWriter(target, header) if compressed else PlainWriter(target)
+                writer = PointWriter(target, header, work.threads) if compressed else PlainWriter(target)
                 record, statistics = _write_points(header, form, writer, store, work)
                 writer.close()
                 if work.ranges:

@@ -244,6 +244,8 @@ class WriteClassified:
         As COPC; else LAZ or LAS, by the name of ``out``.
     pieces : tuple of KeptPiece
         Of which the store may keep the records: the source is decoded where it does not.
+    threads : int
+        That compress at a time: more than one where there are fewer clouds than workers.
     """
 
     path: str
@@ -258,6 +260,7 @@ class WriteClassified:
     ranges: tuple[tuple[int, int], ...] = ()
     copc: bool = False
     pieces: tuple[KeptPiece, ...] = field(default=(), metadata=NOT_IN_DIGEST)
+    threads: int = field(default=1, metadata=NOT_IN_DIGEST)
 
     def place(self, buckets: Lattice) -> Bounds | None:
         """Bounds of the buckets."""

@@ -22,14 +22,11 @@ from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
-from tiler.plan.model import MAX_HALO_FACTOR
+from tiler.plan.model import LEAST_CANDIDATES, MAX_HALO_FACTOR
 from tiler.plan.sizes import SPARSE_TILE_M
 
 WIDEST_WINDOW = MAX_EXTENT // 2
 """Counts of a window's side with which a TIN is exact, however the method widens it."""
-
-LEAST_CANDIDATES = 500_000
-"""A tile is not halved for want of others if it holds less than twice as many."""
 
 NEAR_HALF = 0.1
 """Share of the points by which the halves of a tile may differ from one half."""

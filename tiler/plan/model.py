@@ -53,6 +53,9 @@ PART = 128
 """Pixels a side of the parts into which blocks are divided where points are many."""
 
 
+LEAST_CANDIDATES = 500_000
+"""A tile is not halved for want of others if it holds less than twice as many."""
+
 LEAST_MATCHED_M2 = 2.0
 """Sparser clouds are no matched ones if nobody says so: `auto` asks for twice as many points a square metre."""
 
@@ -179,9 +182,35 @@ class Plan:
         """The widest halo that a pass starts with, metres, if the cloud is of that kind."""
         return max(step.halo_m for step in steps_of(self.passes, kind))
 
-    def overlap_of(self, halo_m: float) -> float:
-        """Padded area over core area of a filter tile with that halo."""
-        return float(((self.tile + 2 * Fraction(halo_m)) / self.tile) ** 2)
+    def overlap_of(self, steps: Iterable[PlannedPass]) -> float:
+        """Padded area over core area of a filter tile in the pass that sees most; joined tiles end at the survey."""
+        return max((self._overlap(step) for step in steps), default=1.0)
+
+    def _overlap(self, step: PlannedPass) -> float:
+        found, wider = 1.0, 2 * step.halo_m
+        for side, most in zip(self.tile_sides_m(step), self._sides_m, strict=True):
+            found *= (min(side + wider, most) if self.joins(step) else side + wider) / side
+        return found
+
+    @property
+    def _sides_m(self) -> tuple[float, float]:
+        """Of the survey, west to east and south to north."""
+        bounds, metres = self.extent, float(self.meta.frame.metres_xy)
+        return (bounds.x1 - bounds.x0) * metres, (bounds.y1 - bounds.y0) * metres
+
+    def tile_sides_m(self, step: PlannedPass) -> tuple[float, float]:
+        """About the sides of the tiles of a pass, see `tiler.plan.filter_tiles`."""
+        if not self.joins(step):
+            return float(self.tile), float(self.tile)
+        sides = list(self._sides_m)
+        wanted = min(1 << (self.tile_workers - 1).bit_length(), max(self.points // LEAST_CANDIDATES, 1))
+        while max(sides) > self.bucket_m and (
+            wanted > 1
+            or self.filter_peak(step, math.sqrt(math.prod(sides)), step.halo_m) > self.tile_memory_of(step)
+        ):
+            sides[sides.index(max(sides))] /= 2
+            wanted //= 2
+        return sides[0], sides[1]
 
     @property
     def fine_m(self) -> Fraction:
@@ -299,7 +328,7 @@ class Plan:
     @property
     def overlap(self) -> float:
         """Padded area over core area of a filter tile, in the pass that sees most."""
-        return self.overlap_of(self.halo_m)
+        return self.overlap_of(self.steps)
 
     @property
     def tiles(self) -> int:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import unit_label
 from tiler.plan.disk import projected_disk
-from tiler.plan.model import Plan
+from tiler.plan.memory import PlannedPass
+from tiler.plan.model import Plan, steps_of
 from tiler.plan.rates import projected_seconds
 
 KIND_WORDS = {"lidar": "a laser scan", "dim": "a matched cloud"}
@@ -93,12 +95,15 @@ def _area_facts(plan: Plan) -> dict[str, Any] | None:
 def _halo_in_words(plan: Plan) -> str:
     """The widest halo and what it costs: for each kind of cloud, where the points are yet to show which it is."""
 
-    def words(halo_m: float) -> str:
-        return f"{halo_m:g} m of halo, overlap work {plan.overlap_of(halo_m):.2f}"
+    def words(halo_m: float, steps: Iterable[PlannedPass]) -> str:
+        return f"{halo_m:g} m of halo, overlap work {plan.overlap_of(steps):.2f}"
 
     if not plan.kinds:
-        return words(plan.halo_m)
-    found = ", or ".join(f"{words(plan.halo_of(kind))} for {KIND_WORDS[kind]}" for kind in plan.kinds)
+        return words(plan.halo_m, plan.steps)
+    found = ", or ".join(
+        f"{words(plan.halo_of(kind), steps_of(plan.passes, kind))} for {KIND_WORDS[kind]}"
+        for kind in plan.kinds
+    )
     return f"{found}, as the points will show (--kind says it beforehand)"
 
 

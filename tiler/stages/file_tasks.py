@@ -249,7 +249,9 @@ def classified_tasks(
     out: str,
 ) -> Iterator[Task]:
     """One task for each classified cloud."""
-    records, pieces = by_source(spooled), kept_pieces(spooled)
+    records, pieces, sources = by_source(spooled), kept_pieces(spooled), list(sources)
+    # Workers of a cluster are other machines': what a task takes there is one core.
+    threads = 1 if plan.config.scheduler else max(plan.workers // max(len(sources), 1), 1)
     for source in sources:
         touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]}
         cells = sorted(touched & labels.keys())  # a bucket whose task failed is not there
@@ -267,6 +269,7 @@ def classified_tasks(
             ranges=_window(plan, source.info),
             copc=plan.config.classified == "copc",
             pieces=tuple(pieces[source.name]),
+            threads=threads,
         )
         digest = digest_of(__version__, source.identity, work, [labels[c] for c in cells], "statistics")
         points = sum(count for _, count in work.ranges) or source.info.points

@@ -225,6 +225,18 @@ def test_the_same_bytes_each_time(make_cloud: Any, memory_store: Any, tmp_path: 
     assert (tmp_path / "1.laz").read_bytes() == (tmp_path / "2.laz").read_bytes()
 
 
+def test_two_threads_write_the_same_bytes(
+    make_cloud: Any, memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RAYON_NUM_THREADS", "2")
+    monkeypatch.setattr(classified, "_STEP", 30_000)
+    path = make_cloud("a.laz", point_format=7, version="1.4", n=120_001)
+    cells = label(memory_store, dict.fromkeys(range(500), 2))
+    export(path, tmp_path / "1.laz", cells)
+    export(path, tmp_path / "2.laz", cells, threads=2)
+    assert (tmp_path / "1.laz").read_bytes() == (tmp_path / "2.laz").read_bytes()
+
+
 def test_a_failure_leaves_no_file(
     make_cloud: Any, memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

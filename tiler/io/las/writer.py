@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, BinaryIO
 
 import lazrs
@@ -33,10 +34,15 @@ class PointWriter:
         Seekable; its position after `close` is undefined.
     header : LasHeader
         Of a file with the same point format and record length.
+    threads : int
+        That compress chunks at a time; the bytes are the same. The first number above 1 holds for this process.
     """
 
-    def __init__(self, target: BinaryIO, header: LasHeader) -> None:
-        self._compressor = lazrs.LasZipCompressor(target, layout_of(header))
+    def __init__(self, target: BinaryIO, header: LasHeader, threads: int = 1) -> None:
+        if threads > 1:
+            os.environ.setdefault("RAYON_NUM_THREADS", str(threads))  # else as many as there are cores
+        compressor: Any = lazrs.ParLasZipCompressor if threads > 1 else lazrs.LasZipCompressor
+        self._compressor = compressor(target, layout_of(header))
 
     def write(self, records: Records) -> None:
         """Append records; raises OSError where the target does not take them."""
