@@ -15,11 +15,11 @@ def test_a_house_on_a_slope_is_seen_with_noise_blunders_and_its_facades() -> Non
     cloud = matched(scan, np.where(roof, BUILDING, GROUND), Site("", 0.5, 7))
     assert cloud.truth is not None
     classes, above = cloud.classification, cloud.xyz[:, 2] - cloud.truth(*cloud.xyz[:, :2].T)
-    assert 25 < classes.size / 24**2 < 45
+    assert 25 < classes.size / 24**2 < 50
     ground, house = above[classes == GROUND], above[classes == BUILDING]
     assert abs(np.nanmedian(ground)) < 0.1  # neighbours share noise
     assert 0.04 < np.nanstd(ground) < 0.2
     assert np.nanmin(house) > -0.7
-    assert np.mean(abs(house - 6.0) < 0.5) > 0.5
-    assert np.mean((house > 1.0) & (house < 5.0)) > 0.02  # facades
+    assert np.mean(abs(house - 6.0) < 0.5) > 0.3
+    assert np.mean((house > 1.0) & (house < 5.0)) > 0.05  # facades
     assert np.nanmedian(above[classes == BLUNDER]) < -0.4
