@@ -288,7 +288,9 @@ class _Catalogue:
         for cloud in self.clouds:
             found[cloud.path.removesuffix(self._suffix)] = {
                 "href": f"./{quote(cloud.path)}", "type": self._media, "roles": ["data"],
-                "title": "points with their classes", "pc:count": cloud.record["points"],
+                "title": "points with their classes",
+                # The schema of the extension is for items alone.
+                **({"pc:count": cloud.record["points"]} if self._plan.config.sheets is None else {}),
             }  # fmt: skip
         found["report"] = {"href": f"./{REPORT}", "type": "text/html", "roles": ["metadata"]}
         return found
