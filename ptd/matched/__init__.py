@@ -1,7 +1,7 @@
 """Ground of matched clouds (photogrammetry): one robust height per cell, and a surface that may bend only so much.
 
 Image matching gives dense clouds whose heights scatter to both sides and hold blunders, alone and in clumps, so the
-lowest point of a cell says little. Every module here works on rasters of cells of `cells.CELL_M`:
+lowest point of a cell says little. Every module here works on rasters of cells of 1 m, 2 m in sparse clouds:
 
 cells
     one robust height per cell.

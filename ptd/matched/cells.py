@@ -14,6 +14,8 @@ from ptd.kernel import kernel
 
 CELL_M = 1.0
 """Side of a cell: the detail of the surface. Tens of points average out in it; a car fills several."""
+SPARSE_M2, SPARSE_CELL_M = 3.0, 2.0
+"""In clouds of fewer points per square metre cells have this side: in most of 1 m no two points would agree."""
 MODE_SIGMAS = 4.0
 """Height of the window that is moved up from a cell's lowest point, in standard deviations of the noise."""
 STEEPEST = 2.0
@@ -120,7 +122,12 @@ def _tilted_heights(
     return heights
 
 
-def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float) -> Int32:
+def cell_side_m(density_m2: float) -> float:
+    """Side of the cells of a cloud of so many points per square metre."""
+    return SPARSE_CELL_M if density_m2 < SPARSE_M2 else CELL_M
+
+
+def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float, cell_m: float = CELL_M) -> Int32:
     """The surface of each cell whose centre lies within bounds, as a point at its centre.
 
     Parameters
@@ -131,13 +138,15 @@ def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float) -> In
     scale : Scale
     sigma_m : float
         The run's noise in metres.
+    cell_m : float
+        Side of the cells.
 
     Returns
     -------
     int32 [3, m]
         Local counts, by rows of cells.
     """
-    cells = Cells.of(CELL_M, scale)
+    cells = Cells.of(cell_m, scale)
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
     if x.size == 0:
         return np.zeros((3, 0), np.int32)
@@ -153,7 +162,7 @@ def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float) -> In
     centre_y = np.array(
         [(cells.south(row0 + i) + cells.south(row0 + i + 1)) // 2 for i in range(rows)], np.int64
     )
-    steepest = round(2 * STEEPEST * scale.counts_z(CELL_M))
+    steepest = round(2 * STEEPEST * scale.counts_z(cell_m))
     heights = _tilted_heights(
         x, y, z, starts, order, columns, centre_x, centre_y, window, steepest, level, counts
     )

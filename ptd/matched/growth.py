@@ -14,9 +14,10 @@ import numpy.typing as npt
 from ptd.cells import Int64
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
+from ptd.matched.cells import CELL_M
 
-STEPS = 8
-"""Cells that ground grows, at most."""
+GROWS_M = 8.0
+"""How far ground grows, at most."""
 HIGHEST_M = 3.0
 """What lies higher above the surface does not join: roofs of houses on slopes may go on as the terrain above."""
 PLANE_CELLS, PLANE_SQUARE = 2, 5
@@ -33,9 +34,14 @@ NEAR_M, NEAR_SIGMAS = 0.12, 1.5
 Float64 = npt.NDArray[np.float64]
 
 
-def reach_cells() -> int:
+def _steps(cell_m: float) -> int:
+    """Cells that ground grows, at most."""
+    return round(GROWS_M / cell_m)
+
+
+def reach_cells(cell_m: float) -> int:
     """Cells beyond which nothing has a part in whether a cell joins."""
-    return STEPS * max(PLANE_CELLS, BETWEEN_CELLS)
+    return _steps(cell_m) * max(PLANE_CELLS, BETWEEN_CELLS)
 
 
 @kernel
@@ -91,13 +97,19 @@ def _is_between(height: Float64, ground: Bool, row: int, column: int) -> bool:
 
 @kernel
 def _grow(
-    height: Float64, ground: Bool, terrain: Bool, near: Float64, rows: Int64, columns: Int64
+    height: Float64,
+    ground: Bool,
+    terrain: Bool,
+    near: Float64,
+    rows: Int64,
+    columns: Int64,
+    steps: int,
 ) -> Float64:
     """Heights where cells joined, NaN elsewhere; ``ground`` is changed. All that join in a step do so together."""
     found = np.full(height.shape, np.nan)
     waiting = np.ones(rows.size, np.bool_)
     joins = np.empty(rows.size, np.int64)
-    for _ in range(STEPS):
+    for _ in range(steps):
         n = 0
         for k in range(rows.size):
             r, c = rows[k], columns[k]
@@ -120,7 +132,13 @@ def _grow(
 
 
 def grown(
-    height: Float64, ground: Bool, may_join: Bool, terrain: Bool, sigma: Float64, narrowing: Float64
+    height: Float64,
+    ground: Bool,
+    may_join: Bool,
+    terrain: Bool,
+    sigma: Float64,
+    narrowing: Float64,
+    cell_m: float = CELL_M,
 ) -> Float64:
     """Heights of cells that join the ground: halfway between the cell and the plane beside it, NaN elsewhere.
 
@@ -134,7 +152,10 @@ def grown(
         Cells of surfaces that are terrain as wholes.
     sigma, narrowing : float64 [rows, columns]
         Noise in metres, and how much nearer to the plane cells lie among plants (`ptd.matched.surface.Surface`).
+    cell_m : float
+        Side of the cells.
     """
     rows, columns = np.nonzero(may_join)
     near = (NEAR_M + NEAR_SIGMAS * sigma) * narrowing
-    return _grow(height, ground.copy(), terrain, near, rows.astype(np.int64), columns.astype(np.int64))
+    own = rows.astype(np.int64), columns.astype(np.int64)
+    return _grow(height, ground.copy(), terrain, near, *own, _steps(cell_m))

@@ -23,9 +23,9 @@ from ptd.kernel import kernel, wide
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.separable import hull_around_every_cell
 
-CUT_CELLS = 3
-"""Cells that a paraboloid may cut through: a clump of blunders fills no more."""
-BLOCK = 8
+CUT_M2 = 3.0
+"""What a paraboloid may cut through, one cell at least: a clump of blunders fills no more."""
+BLOCK_M = 8.0
 """Side of the blocks of cells that are passed over where their lowest cell is too high to matter, and whose lowest
 cells say how the terrain slopes."""
 TILT_BLOCKS, ROOFS_TILT_BLOCKS = 1.0, 2.0
@@ -48,47 +48,65 @@ class Hull:
         Per metre: 0.04 bends over a circle of 25 m.
     fall_m : float
         Paraboloids are looked at until they have fallen so far.
+    cell_m : float
+        Side of the cells.
     """
 
     curvature: float
     fall_m: float
+    cell_m: float = CELL_M
+
+    @property
+    def cut_cells(self) -> int:
+        """Cells that a paraboloid may cut through."""
+        return max(1, round(CUT_M2 / self.cell_m**2))
+
+    @property
+    def block(self) -> int:
+        """Cells on a side of a block."""
+        return block_cells(self.cell_m)
 
     @property
     def radius(self) -> int:
         """Cells that a paraboloid extends from its centre, along rows and columns."""
-        return math.ceil(math.sqrt(2 * self.fall_m / self.curvature) / CELL_M)
+        return math.ceil(math.sqrt(2 * self.fall_m / self.curvature) / self.cell_m)
 
     @property
     def stride(self) -> int:
         """Cells between the centres of paraboloids: what is missed between them is less than 4 cm."""
-        return max(1, min(4, int(math.sqrt(0.16 / self.curvature) / CELL_M)))
+        return max(1, min(4, int(math.sqrt(0.16 / self.curvature) / self.cell_m)))
 
     @property
     def reach(self) -> int:
         """Cells beyond which nothing has a part in a cell's answer."""
-        return self.radius + max(self.radius, BLOCK * (TILT_RADIUS + 3)) + self.stride
+        return self.radius + max(self.radius, self.block * (TILT_RADIUS + 3)) + self.stride
 
     def falls(self, scale: Scale) -> Int64:
         """Fall of a paraboloid so many cells from its centre along a row: vertical counts, int64 [radius + 1]."""
-        steps = CELL_M * np.arange(self.radius + 1)
+        steps = self.cell_m * np.arange(self.radius + 1)
         falls: Int64 = np.rint(self.curvature / 2 * steps**2 * scale.counts_z(1.0)).astype(np.int64)
         return falls
 
 
+def block_cells(cell_m: float) -> int:
+    """Cells on a side of a block."""
+    return round(BLOCK_M / cell_m)
+
+
 @kernel
-def _block_minima(heights: Int32) -> Int32:
+def _block_minima(heights: Int32, block: int) -> Int32:
     rows, columns = heights.shape
-    lowest = np.full(((rows + BLOCK - 1) // BLOCK, (columns + BLOCK - 1) // BLOCK), EMPTY, np.int32)
+    lowest = np.full(((rows + block - 1) // block, (columns + block - 1) // block), EMPTY, np.int32)
     for row in range(rows):
         for column in range(columns):
-            b = lowest[row // BLOCK, column // BLOCK]
-            lowest[row // BLOCK, column // BLOCK] = min(b, heights[row, column])
+            b = lowest[row // block, column // block]
+            lowest[row // block, column // block] = min(b, heights[row, column])
     return lowest
 
 
-def tilts(heights: Int32, std_blocks: float) -> tuple[Int64, Int64]:
+def tilts(heights: Int32, std_blocks: float, block: int) -> tuple[Int64, Int64]:
     """Slope of the lowest cells of blocks to the north and to the east: vertical counts a cell, int64 by block."""
-    lowest, margin = _block_minima(heights), TILT_RADIUS + 1
+    lowest, margin = _block_minima(heights, block), TILT_RADIUS + 1
     there = np.pad((lowest != EMPTY).astype(np.float64), margin)
     values = np.pad(np.where(lowest != EMPTY, lowest, 0).astype(np.float64), margin)
     weight = _smooth(there, std_blocks)
@@ -97,7 +115,7 @@ def tilts(heights: Int32, std_blocks: float) -> tuple[Int64, Int64]:
     for axis in (0, 1):
         ahead, behind = np.roll(mean, -1, axis), np.roll(mean, 1, axis)
         known = (np.roll(weight, -1, axis) > LEAST_WEIGHT) & (np.roll(weight, 1, axis) > LEAST_WEIGHT)
-        slope = np.where(known, (ahead - behind) / (2 * BLOCK), 0.0)
+        slope = np.where(known, (ahead - behind) / (2 * block), 0.0)
         found.append(np.rint(slope[margin:-margin, margin:-margin]).astype(np.int64))
     return found[0], found[1]
 
@@ -110,7 +128,7 @@ def _smooth(values: Float64, std: float) -> Float64:
 @kernel
 def _highest_fit(
     heights: Int32, lowest: Int32, falls: Int64, r: int, c: int, north: int, east: int, best: Int64, held: Int64,
-    falls_east: Int64,
+    falls_east: Int64, block: int,
 ) -> None:  # fmt: skip
     """Tops of the lowest paraboloids around a centre that each one cell limits, in rising order, into ``best``.
 
@@ -128,16 +146,16 @@ def _highest_fit(
         top = heights[r + dr, c + dc] + falls[abs(dr)] + falls[abs(dc)] - north * dr - east * dc
         limit = max(limit, min(wide(top + 1), wide(NONE)))
     best[:], held[:] = limit, -1
-    west, east_end = max(c - radius, 0) // BLOCK, min(c + radius, columns - 1) // BLOCK + 1
+    west, east_end = max(c - radius, 0) // block, min(c + radius, columns - 1) // block + 1
     for bc in range(west, east_end):
-        falls_east[bc] = _least_fall(falls, bc * BLOCK - c, east)
-    for br in range(max(r - radius, 0) // BLOCK, min(r + radius, rows - 1) // BLOCK + 1):
-        least = _least_fall(falls, br * BLOCK - r, north)
-        r0, r1 = max(br * BLOCK, r - radius), min(br * BLOCK + BLOCK, r + radius + 1, rows)
+        falls_east[bc] = _least_fall(falls, bc * block - c, east, block)
+    for br in range(max(r - radius, 0) // block, min(r + radius, rows - 1) // block + 1):
+        least = _least_fall(falls, br * block - r, north, block)
+        r0, r1 = max(br * block, r - radius), min(br * block + block, r + radius + 1, rows)
         for bc in range(west, east_end):
             if lowest[br, bc] + least + falls_east[bc] >= limit:
                 continue
-            c0, c1 = max(bc * BLOCK, c - radius), min(bc * BLOCK + BLOCK, c + radius + 1, columns)
+            c0, c1 = max(bc * block, c - radius), min(bc * block + block, c + radius + 1, columns)
             for rr in range(r0, r1):
                 fall = falls[abs(rr - r)] - north * (rr - r)
                 for cc in range(c0, c1):
@@ -152,9 +170,9 @@ def _highest_fit(
 
 
 @kernel
-def _least_fall(falls: Int64, first: int, tilt: int) -> int:
+def _least_fall(falls: Int64, first: int, tilt: int, block: int) -> int:
     """The least that a paraboloid has fallen in a block that begins so many cells from its centre, along one axis."""
-    end = first + BLOCK - 1
+    end = first + block - 1
     near = min(max(first, -end, 0), falls.size - 1)
     return int(falls[near]) - max(tilt * first, tilt * end)
 
@@ -169,7 +187,7 @@ def _raise(hull: Int32, top: int, profile: Int32) -> None:
 @kernel
 def _union(
     heights: Int32, lowest: Int32, falls: Int64, stride: int, row0: int, column0: int, cut: int, north: Int64,
-    east: Int64,
+    east: Int64, block: int,
 ) -> Int32:  # fmt: skip
     """Height of the highest paraboloid over each cell, LOWEST where there is none."""
     rows, columns = heights.shape
@@ -186,8 +204,8 @@ def _union(
                     near |= heights[rr, cc] != EMPTY
             if not near:
                 continue
-            n, e = north[r // BLOCK, c // BLOCK], east[r // BLOCK, c // BLOCK]
-            _highest_fit(heights, lowest, falls, r, c, n, e, best, held, falls_east)
+            n, e = north[r // block, c // block], east[r // block, c // block]
+            _highest_fit(heights, lowest, falls, r, c, n, e, best, held, falls_east, block)
             if held[cut] < 0:
                 continue
             for k in range(profile.size):
@@ -211,7 +229,7 @@ def hull_below(
     rule : Hull
     scale : Scale
     row, column : int
-        Place of the first cell on its lattice, multiples of `BLOCK`: centres are anchored there.
+        Place of the first cell on its lattice, multiples of a block's cells: centres are anchored there.
     tilt_blocks : float
         Standard deviation of the surroundings that say how the terrain slopes, in blocks.
 
@@ -220,8 +238,9 @@ def hull_below(
     int32 [rows, columns]
         Vertical counts; `LOWEST` beyond reach of the cells.
     """
-    falls, stride, lowest = rule.falls(scale), rule.stride, _block_minima(heights)
-    north, east = tilts(heights, tilt_blocks)
+    falls, stride, lowest = rule.falls(scale), rule.stride, _block_minima(heights, rule.block)
+    north, east = tilts(heights, tilt_blocks, rule.block)
     if stride == 1:
-        return hull_around_every_cell(heights, EMPTY, LOWEST, falls, CUT_CELLS, BLOCK, north, east)
-    return _union(heights, lowest, falls, stride, -row % stride, -column % stride, CUT_CELLS, north, east)
+        return hull_around_every_cell(heights, EMPTY, LOWEST, falls, rule.cut_cells, rule.block, north, east)
+    first = -row % stride, -column % stride
+    return _union(heights, lowest, falls, stride, *first, rule.cut_cells, north, east, rule.block)

@@ -16,7 +16,7 @@ from ptd.ground.connected import connected_surfaces
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
 from ptd.matched.cells import CELL_M
-from ptd.matched.hull import BLOCK, ROOFS_TILT_BLOCKS, tilts
+from ptd.matched.hull import ROOFS_TILT_BLOCKS, block_cells, tilts
 
 STEP_M, STEP_SIGMAS = 0.5, 3.0
 """Neighbours on a surface differ by less than the larger of both (by half as much again across corners)."""
@@ -89,12 +89,14 @@ def _rims(
     return counts, box
 
 
-def reach_cells() -> int:
-    """Cells beyond which nothing has a part in what `large_objects` says, its hull apart."""
-    return round(WIDEST_M / CELL_M) + FALL_CELLS + 1
+def reach_cells(cell_m: float) -> int:
+    """Cells beyond which nothing has a part in what `judged` says, its hull apart."""
+    return round(WIDEST_M / cell_m) + FALL_CELLS + 1
 
 
-def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Scale) -> tuple[Bool, Bool]:
+def judged(
+    heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Scale, cell_m: float = CELL_M
+) -> tuple[Bool, Bool]:
     """Cells of large objects, and cells of surfaces that are terrain.
 
     Parameters
@@ -108,21 +110,24 @@ def judged(heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Sc
     sigma_m : float
         The run's noise in metres.
     scale : Scale
+    cell_m : float
+        Side of the cells.
 
     Returns
     -------
     objects, terrain : bool [rows, columns]
     """
     step = scale.counts_z(max(STEP_M, STEP_SIGMAS * sigma_m))
-    sloped = tilts(heights, ROOFS_TILT_BLOCKS)
-    surface, n = connected_surfaces(heights, step, DIAGONAL * step, tilts=sloped, block=BLOCK)
+    block = block_cells(cell_m)
+    sloped = tilts(heights, ROOFS_TILT_BLOCKS, block)
+    surface, n = connected_surfaces(heights, step, DIAGONAL * step, tilts=sloped, block=block)
     near_counts, fall_counts = round(scale.counts_z(NEAR_M)), round(scale.counts_z(FALL_M))
     counts, box = _rims(heights, surface, n, hull, removed, near_counts, fall_counts)
     area, near, rim, falls, inside, cut = counts.T
-    sides_m = np.stack([box[:, 1] - box[:, 0] + 1, box[:, 3] - box[:, 2] + 1]) * CELL_M
+    sides_m = np.stack([box[:, 1] - box[:, 0] + 1, box[:, 3] - box[:, 2] + 1]) * cell_m
     width_m = sides_m.max(axis=0)
     enclosed = inside > INSIDE_SHARE * rim
-    large = (area * CELL_M**2 >= AREA_M2) | enclosed
+    large = (area * cell_m**2 >= AREA_M2) | enclosed
     fallen = np.where(enclosed, inside + falls, falls) / np.maximum(rim, 1)
     around = falls > np.maximum(ALL_FALLS * (rim - inside), FALL_SHARE * rim)
     around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)

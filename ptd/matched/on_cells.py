@@ -19,7 +19,16 @@ from ptd.frame import Cells, Scale, Window
 from ptd.ground.labelling import GROUND
 from ptd.matched import facets, surface, voting
 from ptd.matched.cells import CELL_M, raster_of
-from ptd.matched.passes import GROUND_M, CellPass, GroundModel, MatchedPass, is_matched, noise_m
+from ptd.matched.passes import (
+    GROUND_M,
+    SIDES_M,
+    CellPass,
+    GroundModel,
+    MatchedPass,
+    cell_m,
+    is_matched,
+    noise_m,
+)
 from ptd.matched.survey import DIM, LIDAR, SurveyPass
 from ptd.params import parameter
 from ptd.passes import Model, Pass, Points, State, noted
@@ -30,8 +39,8 @@ class OnCells:
     """The parameter of methods that `either_way` applies to, for `ptd.params.like`."""
 
     robust_cells: bool = parameter(
-        True, "matched clouds: start from one robust height per cell of 1 m and judge points to both sides of the "
-        "ground; no: from the lowest points, as the paper has it",
+        True, "matched clouds: start from one robust height per cell of 1 m (2 m if sparse) and judge points to "
+        "both sides of the ground; no: from the lowest points, as the paper has it",
     )  # fmt: skip
 
 
@@ -73,8 +82,8 @@ class MethodSurveyPass(SurveyPass):
         if after["survey"]["kind"] != DIM:
             return after
         line = (
-            f"decided: starts from one robust height per cell of {CELL_M:g} m, not the lowest point; ground is up to "
-            f"{GROUND_M:g} m and twice the local noise from the surface, after a vote of neighbours "
+            f"decided: starts from one robust height per cell of {cell_m(after):g} m, not the lowest point; "
+            f"ground is up to {GROUND_M:g} m and twice the local noise from the surface, after a vote of neighbours "
             "(as the paper has it: --set robust_cells=no)"
         )
         return {**after, "notes": noted(after, line, *self.notes)}
@@ -145,18 +154,23 @@ class NearGroundPass(MatchedPass):
     title = "label points near the ground"
     columns: tuple[str, ...] = ("labels",)
     elected: bool = True
-    reach_m: float | None = facets.reach_m() + (surface.noise_reach_cells() + 3) * CELL_M
+    reach_m: float | None = facets.reach_m() + max(
+        (surface.noise_reach_cells(side) + 3) * side for side in SIDES_M
+    )
     label_margin_m: float = voting.REACH_M
     raster_cell_m: float = CELL_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GroundModel:
         """Lay the TIN below the cells."""
-        cells, ground = Cells.of(CELL_M, scale), points.known_labels() == GROUND
+        side = cell_m(state)
+        cells, ground = Cells.of(side, scale), points.known_labels() == GROUND
         if not ground.any():
             return GroundModel(None, {"cells": 0})
         heights = facets.ground_heights(*points.columns(), ground, scale)
         raster = raster_of(points.xyz, cells)
         below = np.full(raster.heights.size, np.nan)
         below[raster.keys] = heights
-        found = surface.with_noise(raster.heights, below.reshape(raster.heights.shape), noise_m(state), scale)
+        found = surface.with_noise(
+            raster.heights, below.reshape(raster.heights.shape), noise_m(state), scale, side
+        )
         return GroundModel.of(found, raster, cells, scale, state)

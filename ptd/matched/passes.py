@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,15 @@ from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel, wide
 from ptd.matched import objects, surface, voting
-from ptd.matched.cells import CELL_M, EMPTY, Raster, cell_heights, raster_of
+from ptd.matched.cells import (
+    CELL_M,
+    EMPTY,
+    SPARSE_CELL_M,
+    Raster,
+    cell_heights,
+    cell_side_m,
+    raster_of,
+)
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, hull_below
 from ptd.passes import Int32, Model, Pass, Points, State, UInt8
 
@@ -23,6 +31,8 @@ GROUND_M, GROUND_SIGMAS = 0.15, 2.0
 """After the vote, ground lies nearer to the surface than this and so many times the local noise."""
 LOW_M, LOW_SIGMAS = 0.5, 4.0
 """What lies lower is low noise."""
+SIDES_M = (CELL_M, SPARSE_CELL_M)
+"""Sides that cells have: the reach of a pass is that of either."""
 CLEAR_M = 2.0
 """What lies higher or lower by more has no part in the vote."""
 
@@ -37,6 +47,11 @@ def is_matched(state: State) -> bool:
 def noise_m(state: State) -> float:
     """The noise of the run that the cells' rules start from."""
     return float(state["survey"]["cell_sigma_m"])
+
+
+def cell_m(state: State) -> float:
+    """Side of the cells of the run."""
+    return cell_side_m(float(state["survey"]["density_m2"]))
 
 
 @dataclass(frozen=True)
@@ -59,17 +74,17 @@ class CellPass(MatchedPass):
     every_point: bool = True
     gives_labels: bool = False
     elects: bool = True
-    reach_m: float | None = 4 * CELL_M
+    reach_m: float | None = 2 * SPARSE_CELL_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellModel:
         """Find them all."""
         around = _widened(core, scale)
-        return CellModel(cell_heights(points.xyz, around, scale, noise_m(state)))
+        return CellModel(cell_heights(points.xyz, around, scale, noise_m(state), cell_m(state)))
 
 
 def _widened(core: Window, scale: Scale) -> Window:
     """The core and a little more: bounds of buckets may be asked for that are rounded otherwise."""
-    more = round(scale.counts(CELL_M))
+    more = round(scale.counts(0.5))
     return Window(core.west - more, core.south - more, core.east + more, core.north + more)
 
 
@@ -96,7 +111,9 @@ class ObjectPass(MatchedPass):
     columns: tuple[str, ...] = ("labels",)
     elected: bool = True
     raster_cell_m: float = CELL_M
-    reach_m: float | None = (objects.reach_cells() + surface.STIFF.reach + 1) * CELL_M
+    reach_m: float | None = max(
+        (objects.reach_cells(side) + replace(surface.STIFF, cell_m=side).reach + 1) * side for side in SIDES_M
+    )
 
     @property
     def title(self) -> str:  # type: ignore[override]
@@ -105,7 +122,8 @@ class ObjectPass(MatchedPass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Codes:
         """Judge the surfaces of the cells that are left."""
-        cells = Cells.of(CELL_M, scale)
+        side = cell_m(state)
+        cells = Cells.of(side, scale)
         known = points.known_labels()
         codes = np.where(known == OBJECT, np.uint8(OBJECT), np.uint8(LEFT))
         if len(points) == 0:
@@ -116,9 +134,10 @@ class ObjectPass(MatchedPass):
         before = np.zeros(raster.heights.size, np.bool_)
         before[raster.keys[codes == OBJECT]] = True
         removed = before.reshape(raster.heights.shape)
-        hull = hull_below(raster.heights, surface.STIFF, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
+        rule = replace(surface.STIFF, cell_m=side)
+        hull = hull_below(raster.heights, rule, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
         left = np.where(removed, EMPTY, raster.heights).astype(np.int32)
-        large, terrain = objects.judged(left, hull, removed, noise_m(state), scale)
+        large, terrain = objects.judged(left, hull, removed, noise_m(state), scale, side)
         codes[large.reshape(-1)[raster.keys]] = OBJECT
         codes[terrain.reshape(-1)[raster.keys]] = TERRAIN
         return Codes(raster, codes, cells)
@@ -153,12 +172,12 @@ class SurfacePass(MatchedPass):
     columns: tuple[str, ...] = ("labels",)
     elected: bool = True
     raster_cell_m: float = CELL_M
-    reach_m: float | None = (surface.reach_cells() + 3) * CELL_M
+    reach_m: float | None = max((surface.reach_cells(side) + 3) * side for side in SIDES_M)
     label_margin_m: float = voting.REACH_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GroundModel:
         """Make the surface of the cells that are no large object's."""
-        cells, codes = Cells.of(CELL_M, scale), points.known_labels()
+        cells, codes = Cells.of(cell_m(state), scale), points.known_labels()
         left = codes != OBJECT
         if not left.any():
             return GroundModel(None, {"cells": 0})
@@ -167,7 +186,7 @@ class SurfacePass(MatchedPass):
         flat[raster.keys] = codes[left] == TERRAIN
         terrain = flat.reshape(raster.heights.shape)
         found = surface.ground_surface(
-            raster.heights, terrain, noise_m(state), scale, raster.row, raster.column
+            raster.heights, terrain, noise_m(state), scale, raster.row, raster.column, cell_m(state)
         )
         return GroundModel.of(found, raster, cells, scale, state)
 

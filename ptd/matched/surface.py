@@ -17,7 +17,7 @@ Gaussian sums over cells are cut off at a fixed radius, so nothing beyond `reach
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ STIFF, PLIABLE = Hull(0.01, 11.5), Hull(0.04, 11.5)
 RIDGES = (Hull(0.08, 6.0), Hull(0.2, 6.0), Hull(0.5, 6.0))
 OPEN_GROUND = 0.3
 """Curvature up to which open ground all around is reason enough; beyond, only terrain as a whole is: cars are small."""
-CREST_SLOPE, CREST_CELLS = (0.1, 0.2), 7
+CREST_SLOPE, CREST_M = (0.1, 0.2), 7.0
 """Mean slope of the surroundings (`TERRAIN_M`) from which on, and at which, hulls of more than that curvature hold.
 Where it is level they hold on what is so wide at least, a dam: cars, too, are linked to the ground by some cell."""
 STEEP = (0.3, 0.6)
@@ -58,8 +58,9 @@ TERRAIN_M = 8.0
 """Standard deviation of the surroundings in which cells above the surface are counted."""
 
 ROUNDS = 6
-SCALES_M = (3.0, 1.5)
-"""Standard deviations of the surroundings whose mean residual is added."""
+SCALES_M, SCALES_CELLS = (3.0, 1.5), (2.0, 1.0)
+"""Standard deviations of the surroundings whose mean residual is added, and in cells at least: of few cells the mean
+is uncertain."""
 FEW = 0.05
 """Weight of no residual at all, so that few cells move the surface little."""
 PLAIN_ROUNDS, BESIDE = 3, 0.2
@@ -82,8 +83,8 @@ EXTENDED_M = (2.0, 6.0)
 """Beyond its cells the surface goes on as the mean of what is near: standard deviations of the surroundings."""
 TRUNCATE = 2.0
 """Standard deviations at which Gaussian sums end."""
-SHARE_BLOCK = 4
-"""Cells on a side of the blocks for which shares of the surroundings are reckoned: they are far smaller than those."""
+SHARE_BLOCK_M = 4.0
+"""Side of the blocks for which shares of the surroundings are reckoned: they are far smaller than those."""
 
 
 class Surface(NamedTuple):
@@ -103,40 +104,45 @@ class Surface(NamedTuple):
 
 @dataclass(frozen=True)
 class _Cells:
-    """Heights in metres and which cells are there."""
+    """Heights in metres, which cells are there, and their side."""
 
     height: Float64
     there: Bool
+    cell_m: float
 
     @cached_property
     def near(self) -> Float64:
         """How much of the surroundings from which slopes are taken holds cells."""
-        return smoothed(self.there.astype(np.float64), SLOPE_SMOOTHED_M)
+        return self.smoothed(self.there.astype(np.float64), SLOPE_SMOOTHED_M)
 
     def mean(self, values: Float64) -> Float64:
         """Gaussian mean of the values of the cells that are there, as slopes need it; 0 where none is near."""
-        return smoothed(np.where(self.there, values, 0.0), SLOPE_SMOOTHED_M) / np.maximum(self.near, 1e-9)
+        return self.smoothed(np.where(self.there, values, 0.0), SLOPE_SMOOTHED_M) / np.maximum(
+            self.near, 1e-9
+        )
 
     def around(self, which: Bool | Float64, std_m: float) -> Float64:
-        """Share of all places around each cell that hold a chosen one, by blocks of `SHARE_BLOCK` cells.
+        """Share of all places around each cell that hold a chosen one, by blocks of `SHARE_BLOCK_M`.
 
         Values instead of choices are summed over these places, with weights that add up to 1.
         """
         rows, columns = which.shape
-        down, right = -rows % SHARE_BLOCK, -columns % SHARE_BLOCK
+        block = _share_block(self.cell_m)
+        down, right = -rows % block, -columns % block
         padded = np.pad(which, ((0, down), (0, right))).astype(np.float64)
-        split = padded.reshape(
-            padded.shape[0] // SHARE_BLOCK, SHARE_BLOCK, padded.shape[1] // SHARE_BLOCK, SHARE_BLOCK
-        )
-        shares = smoothed(split.mean(axis=(1, 3)), std_m / SHARE_BLOCK)
-        whole = np.repeat(np.repeat(shares, SHARE_BLOCK, axis=0), SHARE_BLOCK, axis=1)
+        split = padded.reshape(padded.shape[0] // block, block, padded.shape[1] // block, block)
+        shares = smoothed(split.mean(axis=(1, 3)), std_m / SHARE_BLOCK_M)
+        whole = np.repeat(np.repeat(shares, block, axis=0), block, axis=1)
         return np.ascontiguousarray(whole[:rows, :columns])
 
+    def smoothed(self, values: Float64, std_m: float) -> Float64:
+        """Gaussian sums over the cells around each one."""
+        return smoothed(values, std_m / self.cell_m)
 
-def smoothed(values: Float64, std_m: float) -> Float64:
-    """Gaussian sums with weights that add up to 1, of values that are 0 beyond the raster."""
-    std = std_m / CELL_M
-    radius = _radius(std_m)
+
+def smoothed(values: Float64, std: float) -> Float64:
+    """Gaussian sums with weights that add up to 1, of values that are 0 beyond the raster; ``std`` in its cells."""
+    radius = _radius(std)
     weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / std) ** 2)
     weights /= weights.sum()
     along: Float64 = scipy.ndimage.correlate1d(values, weights, axis=1, mode="constant")
@@ -144,30 +150,52 @@ def smoothed(values: Float64, std_m: float) -> Float64:
     return found
 
 
-def _radius(std_m: float) -> int:
+def _radius(std: float) -> int:
     """Cells at which Gaussian sums end."""
-    return math.ceil(TRUNCATE * std_m / CELL_M)
+    return math.ceil(TRUNCATE * std)
 
 
-def _share_radius(std_m: float) -> int:
-    """The same for shares by blocks."""
-    return SHARE_BLOCK * (math.ceil(TRUNCATE * std_m / CELL_M / SHARE_BLOCK) + 1)
+def _share_block(cell_m: float) -> int:
+    """Cells on a side of the blocks by which shares are reckoned."""
+    return round(SHARE_BLOCK_M / cell_m)
 
 
-def reach_cells() -> int:
+def _share_radius(std_m: float, cell_m: float) -> int:
+    """Cells at which shares by blocks end."""
+    return _share_block(cell_m) * (_radius(std_m / SHARE_BLOCK_M) + 1)
+
+
+def _crest_cells(cell_m: float) -> int:
+    """Cells, an odd number, that a crest is wide where it is level."""
+    return 2 * int(CREST_M / cell_m / 2) + 1
+
+
+def _scales(cell_m: float) -> list[float]:
+    """Standard deviations, in cells, of the surroundings whose mean residual is added."""
+    return [max(m / cell_m, least) for m, least in zip(SCALES_M, SCALES_CELLS, strict=True)]
+
+
+def reach_cells(cell_m: float) -> int:
     """Cells beyond which nothing has a part in the surface."""
-    slope = _radius(SLOPE_SMOOTHED_M) + 1
-    bent = max(h.reach for h in (STIFF, PLIABLE, *RIDGES)) + slope + _share_radius(CONTRAST_M)
-    bent += len(RIDGES) * (slope + max(_share_radius(RIDGE_M), _share_radius(TERRAIN_M)))
-    bent += sum(CREST_CELLS - 1 for h in RIDGES if h.curvature > OPEN_GROUND)
-    about = max(slope, _radius(NOISE_M)) + _share_radius(CONTRAST_M)
-    rounds = ROUNDS * sum(_radius(m) for m in SCALES_M) + ROUNDS - PLAIN_ROUNDS
-    edges = growth.reach_cells() + (1 + EDGE_ROUNDS) * _radius(SCALES_M[-1])
-    return bent + 2 * about + rounds + edges + _radius(max(EXTENDED_M))
+    hulls = [replace(h, cell_m=cell_m) for h in (STIFF, PLIABLE, *RIDGES)]
+    slope, contrast = _radius(SLOPE_SMOOTHED_M / cell_m) + 1, _share_radius(CONTRAST_M, cell_m)
+    bent = max(h.reach for h in hulls) + slope + contrast
+    bent += len(RIDGES) * (slope + max(_share_radius(RIDGE_M, cell_m), _share_radius(TERRAIN_M, cell_m)))
+    bent += sum(_crest_cells(cell_m) - 1 for h in RIDGES if h.curvature > OPEN_GROUND)
+    about = max(slope, _radius(NOISE_M / cell_m)) + contrast
+    rounds = ROUNDS * sum(_radius(cells) for cells in _scales(cell_m)) + ROUNDS - PLAIN_ROUNDS
+    edges = growth.reach_cells(cell_m) + (1 + EDGE_ROUNDS) * _radius(_scales(cell_m)[-1])
+    return bent + 2 * about + rounds + edges + _radius(max(EXTENDED_M) / cell_m)
 
 
 def ground_surface(
-    heights: Int32, terrain: Bool, sigma_m: float, scale: Scale, row: int, column: int
+    heights: Int32,
+    terrain: Bool,
+    sigma_m: float,
+    scale: Scale,
+    row: int,
+    column: int,
+    cell_m: float = CELL_M,
 ) -> Surface:
     """The ground's surface.
 
@@ -182,28 +210,32 @@ def ground_surface(
     scale : Scale
     row, column : int
         Place of the first cell on its lattice.
+    cell_m : float
+        Side of the cells.
     """
     there = heights != EMPTY
     metres = 1.0 / scale.counts_z(1.0)
-    cells = _Cells(np.where(there, heights * metres, 0.0), there)
+    cells = _Cells(np.where(there, heights * metres, 0.0), there, cell_m)
 
     def hull(rule: Hull) -> Float64:
-        found = hull_below(heights, rule, scale, row, column)
+        found = hull_below(heights, replace(rule, cell_m=cell_m), scale, row, column)
         below: Float64 = np.where(there & (found != LOWEST), found * metres, 0.0)
         return below
 
     start = _bent(cells, terrain, hull, sigma_m)
     height, sigma, narrowing = _refined(cells, terrain, start, sigma_m)
-    return Surface(_extended(height, there), sigma, narrowing)
+    return Surface(_extended(cells, height), sigma, narrowing)
 
 
-def noise_reach_cells() -> int:
+def noise_reach_cells(cell_m: float) -> int:
     """Cells beyond which nothing has a part in the noise about a surface, and in how it goes on beyond its cells."""
-    slope = _radius(SLOPE_SMOOTHED_M) + 1
-    return max(slope, _radius(NOISE_M)) + _share_radius(CONTRAST_M) + _radius(max(EXTENDED_M))
+    about = max(_radius(SLOPE_SMOOTHED_M / cell_m) + 1, _radius(NOISE_M / cell_m))
+    return about + _share_radius(CONTRAST_M, cell_m) + _radius(max(EXTENDED_M) / cell_m)
 
 
-def with_noise(heights: Int32, ground: Float64, sigma_m: float, scale: Scale) -> Surface:
+def with_noise(
+    heights: Int32, ground: Float64, sigma_m: float, scale: Scale, cell_m: float = CELL_M
+) -> Surface:
     """A surface that another method found, with the noise of the cells about it.
 
     Parameters
@@ -215,13 +247,15 @@ def with_noise(heights: Int32, ground: Float64, sigma_m: float, scale: Scale) ->
     sigma_m : float
         The run's noise in metres.
     scale : Scale
+    cell_m : float
+        Side of the cells.
     """
     there = (heights != EMPTY) & ~np.isnan(ground)
     metres = 1.0 / scale.counts_z(1.0)
-    cells = _Cells(np.where(there, heights * metres, 0.0), there)
+    cells = _Cells(np.where(there, heights * metres, 0.0), there, cell_m)
     below: Float64 = np.where(there, ground * metres, 0.0)
     sigma, narrowing, _, _ = _about(cells, np.zeros_like(there), below, sigma_m)
-    return Surface(_extended(below, there), sigma, narrowing)
+    return Surface(_extended(cells, below), sigma, narrowing)
 
 
 def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
@@ -231,7 +265,7 @@ def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
 
 
 def _slope(cells: _Cells, surface: Float64) -> Float64:
-    north, east = np.gradient(cells.mean(surface), CELL_M)
+    north, east = np.gradient(cells.mean(surface), cells.cell_m)
     found: Float64 = np.where(cells.there & (cells.near > 0.2), np.hypot(north, east), 0.0)
     return np.minimum(found, STEEPEST)
 
@@ -262,8 +296,9 @@ def _bent(cells: _Cells, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m
             continue
         raised = np.maximum(hull(rule) - surface, 0.0)
         if crests:
-            least = scipy.ndimage.minimum_filter(raised, CREST_CELLS, mode="constant")
-            wide = scipy.ndimage.maximum_filter(least, CREST_CELLS, mode="constant")
+            crest = _crest_cells(cells.cell_m)
+            least = scipy.ndimage.minimum_filter(raised, crest, mode="constant")
+            wide = scipy.ndimage.maximum_filter(least, crest, mode="constant")
             raised = wide + _ramp(slope, CREST_SLOPE) * (raised - wide)
         ridges = surface + raised
         counted = 1.0 - terrain * _ramp(slope, STEEP)
@@ -299,8 +334,8 @@ def _refined(
         if k >= PLAIN_ROUNDS:
             objects = scipy.ndimage.maximum_filter(cells.there & (residual >= above), 3, mode="constant")
             weight[objects & (residual > 0.0)] *= BESIDE
-        for std_m in SCALES_M:
-            mean = smoothed(weight * (cells.height - surface), std_m) / (smoothed(weight, std_m) + FEW)
+        for std in _scales(cells.cell_m):
+            mean = smoothed(weight * (cells.height - surface), std) / (smoothed(weight, std) + FEW)
             surface = surface + np.where(cells.there, mean, 0.0)
     sigma, narrowing, above, below = _about(cells, terrain, surface, sigma_m)
     return _to_edges(cells, terrain, surface, sigma, narrowing, above, below), sigma, narrowing
@@ -313,16 +348,17 @@ def _to_edges(
     residual = cells.height - surface
     ground = cells.there & (residual < above) & (residual > -below)
     may_join = cells.there & (residual >= above) & (residual < growth.HIGHEST_M)
-    joined = growth.grown(cells.height, ground, may_join, terrain, sigma, narrowing)
+    joined = growth.grown(cells.height, ground, may_join, terrain, sigma, narrowing, cells.cell_m)
     joins = ~np.isnan(joined)
     if not joins.any():
         return surface
     surface = np.where(joins, joined, surface)
     weight = (ground | joins).astype(np.float64)
-    near = cells.there & scipy.ndimage.maximum_filter(joins, 2 * _radius(SCALES_M[-1]) + 1, mode="constant")
+    std = _scales(cells.cell_m)[-1]
+    near = cells.there & scipy.ndimage.maximum_filter(joins, 2 * _radius(std) + 1, mode="constant")
     for _ in range(EDGE_ROUNDS):
-        mean = smoothed(weight * (cells.height - surface), SCALES_M[-1])
-        surface = surface + np.where(near, mean / (smoothed(weight, SCALES_M[-1]) + FEW), 0.0)
+        mean = smoothed(weight * (cells.height - surface), std)
+        surface = surface + np.where(near, mean / (smoothed(weight, std) + FEW), 0.0)
     return surface
 
 
@@ -344,17 +380,18 @@ def _about(
 def _noise(cells: _Cells, residual: Float64, sigma_m: float) -> Float64:
     """Root mean square of the residuals below the surface around each cell, and the run's where there are few."""
     below = cells.there & (residual < 0.0) & (residual > -6.0 * sigma_m)
-    weight = smoothed(below.astype(np.float64), NOISE_M)
-    squares = smoothed(np.where(below, residual * residual, 0.0), NOISE_M)
+    weight = cells.smoothed(below.astype(np.float64), NOISE_M)
+    squares = cells.smoothed(np.where(below, residual * residual, 0.0), NOISE_M)
     local = np.sqrt((squares + NOISE_FEW * sigma_m**2) / (weight + NOISE_FEW))
     return np.minimum(local, NOISE_MOST * sigma_m)
 
 
-def _extended(surface: Float64, there: Bool) -> Float64:
+def _extended(cells: _Cells, surface: Float64) -> Float64:
     """The surface where there are cells, around them the mean of what is near, NaN beyond."""
+    there = cells.there
     found = np.where(there, surface, np.nan)
     for std_m in EXTENDED_M:
-        weight = smoothed(there.astype(np.float64), std_m)
-        mean = smoothed(np.where(there, surface, 0.0), std_m) / np.maximum(weight, 1e-12)
+        weight = cells.smoothed(there.astype(np.float64), std_m)
+        mean = cells.smoothed(np.where(there, surface, 0.0), std_m) / np.maximum(weight, 1e-12)
         found = np.where(np.isnan(found) & (weight > 1e-6), mean, found)
     return found

@@ -10,6 +10,7 @@ from ptd.frame import Scale, Window
 from ptd.ground import roughness
 from ptd.ground.roughness import Roughness
 from ptd.matched import penetration
+from ptd.matched.cells import SPARSE_M2
 from ptd.passes import Measured, Pass, Points, State, noted
 
 LIDAR, DIM = "lidar", "dim"
@@ -19,8 +20,12 @@ SEEN_THROUGH_SHARE = 0.004
 """Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be:
 0.006 to 0.28 in real laser scans of 4 points/m2 or more (0.0002 in a simulated one without trees), 0 to 0.003 in
 matched clouds, of which those of wooded cliffs have most."""
-MATCHED_M2 = 4.0
-"""Points per square metre from which on a cloud without returns can be told as matched by what is seen through."""
+WIDE_M2, LEAST_M2 = 4.0, 1.0
+"""Points per square metre below which wide cells say what is seen through, too, and from which on they can."""
+WIDE_SHARE, STANDING = 0.05, 100
+"""The same for wide cells: 0.054 to 0.33 in laser scans with plants, thinned to 1 to 3 points/m2, 0 to 0.047 in matched
+clouds but for wooded cliffs (0.06 to 0.12). So many wide cells must have a gap at all, as beside walls: sparse scans of
+single returns are common, and where nothing stands nothing tells."""
 LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M = 0.03, 0.25
 """Noise that the rules of matched clouds start from: errors of neighbours are alike, which planes do not see; and among
 trees nothing is smooth."""
@@ -35,12 +40,17 @@ class Seen(NamedTuple):
         Points of which the number of returns is known; those that are one of several.
     looks, through : int
         Cells with points; those that are seen through (`ptd.matched.penetration`).
+    wide_looks, wide_through, wide_gaps : int
+        Of wide cells; and those with a gap.
     """
 
     told: int
     several: int
     looks: int
     through: int
+    wide_looks: int = 0
+    wide_through: int = 0
+    wide_gaps: int = 0
 
 
 def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
@@ -63,21 +73,27 @@ def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict
     note : str
     """
     share = seen.several / seen.told if seen.told else 0.0
+    sparse = found.density_m2 < WIDE_M2
     through = seen.through / seen.looks if seen.looks else 0.0
+    wide_through = seen.wide_through / seen.wide_looks if sparse and seen.wide_looks else 0.0
     if run.get("kind") is not None:
         kind, why = run["kind"], "as --kind or the preset says"
     elif share >= SEVERAL_SHARE:
         kind, why = LIDAR, f"{100 * share:.2g} % of the points are one of several returns"
-    elif through >= SEEN_THROUGH_SHARE:
-        kind = LIDAR
-        why = f"pulses passed through plants in {100 * through:.2g} % of the area, though each point is a single return"
-    elif found.density_m2 < MATCHED_M2:
-        kind, why = LIDAR, f"fewer than {MATCHED_M2:g} points/m2, and no returns that say more"
+    elif through >= SEEN_THROUGH_SHARE or wide_through >= WIDE_SHARE:
+        kind, most = LIDAR, max(through, wide_through)
+        why = f"pulses passed through plants in {100 * most:.2g} % of the area, though each point is a single return"
+    elif found.density_m2 < LEAST_M2:
+        kind, why = LIDAR, f"fewer than {LEAST_M2:g} points/m2, and no returns that say more"
+    elif sparse and seen.wide_gaps < STANDING:
+        kind, why = LIDAR, "sparse, and next to nothing stands there that a laser would see through"
     else:
         kind, why = DIM, "no point is one of several returns, and nothing is seen through plants"
     given = run["sigma_m"]
     sigma = found.sigma_m if given is None else given
-    cell_sigma = found.smoothest_m if given is None else given
+    few = found.density_m2 < SPARSE_M2 and found.sigma_m is not None  # for planes of quarters of patches
+    smoothest = found.sigma_m if few else found.smoothest_m
+    cell_sigma = smoothest if given is None else given
     cell_sigma = LEAST_CELL_SIGMA_M if cell_sigma is None else cell_sigma
     cell_sigma = min(max(cell_sigma, LEAST_CELL_SIGMA_M), MOST_CELL_SIGMA_M)
     survey = {
@@ -102,7 +118,7 @@ class SurveyPass(Pass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         """Count."""
-        counts = {"told": 0, "several": 0, "looks": 0, "through": 0}
+        counts = dict.fromkeys(Seen._fields, 0)
         if state["run"].get("kind") is None:
             counts |= penetration.seen_through(points.xyz, core, scale)
         if points.returns is not None:

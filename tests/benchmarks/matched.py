@@ -1,6 +1,6 @@
 """`auto` and other people's filters on semi-real matched clouds: errors of labels and of the terrain, as Markdown.
 
-``python tests/benchmarks/matched.py [--scans] [--scenes rows,bluff] [--methods auto,CSF] [--keep FOLDER]``
+``python tests/benchmarks/matched.py [--scans] [--scenes rows,bluff] [--methods auto,CSF] [--thin 1.2] [--keep FOLDER]``
 
 The scenes are those of ``../shared/data/dim/semireal``, with ``--scans`` those made of laser scans
 (``tests/benchmarks/scan_scenes.py``); every filter has one setting for all of them and sees no label.
@@ -24,7 +24,7 @@ from tests.benchmarks.measuring import FLOOR, Cell
 from tests.benchmarks.peers import digest_of_peers, installed_peers, missing_peers
 from tests.benchmarks.scan_scenes import scan_scenes
 from tests.benchmarks.scorecard import DATA, Entry, all_filters, run_all
-from tests.benchmarks.scorecard_scenes import BenchScene, semi_real_scenes
+from tests.benchmarks.scorecard_scenes import BenchScene, semi_real_scenes, thinned
 from tests.benchmarks.scorecard_text import percent, table
 
 
@@ -68,6 +68,9 @@ def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | 
     parser.add_argument("--scans", action="store_true", help="scenes made of laser scans")
     parser.add_argument("--scenes", help="only these, with commas")
     parser.add_argument("--methods", help="only those whose names begin so, with commas")
+    parser.add_argument(
+        "--thin", type=float, help="points per square metre of sparser scenes, taken at random"
+    )
     parser.add_argument("--keep", type=Path, help="folder for what was measured, to be used again")
     given = parser.parse_args(arguments)
     chosen = (
@@ -75,6 +78,8 @@ def main(arguments: Sequence[str] | None = None, scenes: Iterable[BenchScene] | 
     )
     if given.scenes is not None:
         chosen = [scene for scene in chosen if scene.name in given.scenes.split(",")]
+    if given.thin is not None:
+        chosen = [thinned(scene, given.thin) for scene in chosen]
     if not chosen:
         sys.exit(f"no scene: there is nothing for any of these in {DATA}")
     filters = filters_of(None if given.methods is None else given.methods.split(","))

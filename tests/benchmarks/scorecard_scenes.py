@@ -140,6 +140,22 @@ def read_with_dtm(cloud: Path, dtm: Path) -> Cloud:
     return replace(found, xyz=xyz, truth=truth, side_m=side_m, pixel_m=pixel_m)
 
 
+def thinned(scene: BenchScene, density_m2: float) -> BenchScene:
+    """The same scene with points taken at random, so many per square metre of the cells of 2 m that hold any."""
+
+    def load() -> Cloud:
+        cloud = scene.load()
+        cells = len(np.unique(np.floor(cloud.xyz[:, :2] / 2.0), axis=0))
+        rng = np.random.default_rng(1)
+        kept = rng.random(len(cloud.xyz)) < density_m2 * 4.0 * cells / len(cloud.xyz)
+        rgb, returns = (None if c is None else c[kept] for c in (cloud.rgb, cloud.returns))
+        return replace(
+            cloud, xyz=cloud.xyz[kept], classification=cloud.classification[kept], rgb=rgb, returns=returns
+        )
+
+    return replace(scene, load=load, recipe=f"{scene.recipe} thinned to {density_m2:g}")
+
+
 def bilinear(heights: np.ndarray, pixel_m: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Heights between the centres of a raster's pixels, rows from north to south; NaN beside pixels without a height.
 

@@ -56,7 +56,7 @@ PART = 128
 LEAST_CANDIDATES = 500_000
 """A tile is not halved for want of others if it holds less than twice as many."""
 
-LEAST_MATCHED_M2 = 2.0
+LEAST_MATCHED_M2 = 0.5
 """Sparser clouds are no matched ones if nobody says so: `auto` asks for twice as many points a square metre."""
 
 

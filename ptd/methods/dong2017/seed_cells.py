@@ -9,8 +9,7 @@ import numpy as np
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.distance_angle import Bool, Int64
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
-from ptd.matched.cells import CELL_M
-from ptd.matched.passes import CellModel, CellPass
+from ptd.matched.passes import CellModel, CellPass, cell_m
 from ptd.passes import Int32, Points, State, UInt8
 
 
@@ -26,7 +25,7 @@ class SeedCellPass(CellPass):
         """Find all cells, and those of seeds."""
         heights = super().fit(points, window, core, scale, state)
         seeds = points.known_labels() == GROUND
-        return SeedCells(heights, points.xyz[:, seeds], Cells.of(CELL_M, scale))
+        return SeedCells(heights, points.xyz[:, seeds], Cells.of(cell_m(state), scale))
 
 
 class SeedCells(CellModel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.matched.growth import STEPS, grown
+from ptd.matched.growth import GROWS_M, grown
 
 SHAPE = (40, 60)
 ROW, COLUMN = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
@@ -27,8 +27,8 @@ def test_it_grows_on_a_plane_as_many_cells_as_it_says(slope: float) -> None:
     height = slope * ROW + 0.02 * np.random.default_rng(1).standard_normal(SHAPE)
     found = growing(height, COLUMN < 20)
     joined = ~np.isnan(found)
-    assert joined[10:-10, 20 : 20 + STEPS].all()
-    assert not joined[:, 20 + STEPS :].any()
+    assert joined[10:-10, 20 : 20 + round(GROWS_M)].all()  # cells of 1 m
+    assert not joined[:, 20 + round(GROWS_M) :].any()
     assert abs(found - slope * ROW)[joined].max() < 0.15
 
 

@@ -9,9 +9,11 @@ import pytest
 
 from ptd.frame import Scale
 from ptd.matched.cells import EMPTY
-from ptd.matched.hull import BLOCK, CUT_CELLS, LOWEST, TILT_BLOCKS, Hull, hull_below, tilts
+from ptd.matched.hull import LOWEST, TILT_BLOCKS, Hull, hull_below, tilts
 
 MM = Scale()
+BLOCK, CUT_CELLS = 8, 3
+"""Of cells of 1 m."""
 STRIDE_M = 0.04
 """What may be missed between the centres of paraboloids."""
 
@@ -27,7 +29,7 @@ def terrain(rows: int, columns: int, empty: float, seed: int, slope: float = 0.0
 def slow_hull(heights: np.ndarray, rule: Hull, row: int, column: int) -> np.ndarray:
     """Every paraboloid with every cell."""
     falls, s = rule.falls(MM), rule.stride
-    north, east = tilts(heights, TILT_BLOCKS)
+    north, east = tilts(heights, TILT_BLOCKS, BLOCK)
     hull = np.full(heights.shape, LOWEST, np.int64)
     for r in range(-row % s, heights.shape[0], s):
         for c in range(-column % s, heights.shape[1], s):
@@ -77,7 +79,7 @@ def raster(side: int) -> tuple[np.ndarray, np.ndarray]:
 def test_a_plane_is_its_own_hull(slope: float, rule: Hull) -> None:
     row, column = raster(160)
     z = slope * row + 0.3 * column
-    north, east = tilts(counts(z), TILT_BLOCKS)
+    north, east = tilts(counts(z), TILT_BLOCKS, BLOCK)
     assert np.allclose(north[7:-7, 7:-7], 1000 * slope, atol=1)
     assert np.allclose(east[7:-7, 7:-7], 300, atol=1)
     error = hull_below(counts(z), rule, MM, 0, 0)[56:-56, 56:-56] / 1000 - z[56:-56, 56:-56]

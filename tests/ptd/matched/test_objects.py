@@ -8,7 +8,7 @@ import pytest
 from ptd.frame import Scale
 from ptd.ground.connected import connected_surfaces
 from ptd.matched.cells import EMPTY
-from ptd.matched.hull import BLOCK, ROOFS_TILT_BLOCKS, hull_below, tilts
+from ptd.matched.hull import ROOFS_TILT_BLOCKS, hull_below, tilts
 from ptd.matched.objects import DIAGONAL, WIDEST_M, judged
 from ptd.matched.surface import STIFF
 
@@ -124,8 +124,8 @@ def test_a_platform_that_leans_on_a_hall_goes_after_it() -> None:
 def test_a_slope_is_one_surface(slope: float) -> None:
     row, column = np.mgrid[:140, :140]
     heights = np.rint(1000 * (slope * row + 0.1 * column)).astype(np.int32)
-    sloped = tilts(heights, ROOFS_TILT_BLOCKS)
-    surface, _ = connected_surfaces(heights, 500.0, DIAGONAL * 500.0, tilts=sloped, block=BLOCK)
+    sloped = tilts(heights, ROOFS_TILT_BLOCKS, 8)
+    surface, _ = connected_surfaces(heights, 500.0, DIAGONAL * 500.0, tilts=sloped, block=8)
     inner = surface[24:-24, 24:-24]
     assert (inner == inner[0, 0]).all()
 

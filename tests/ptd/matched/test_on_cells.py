@@ -76,7 +76,7 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> NearGroundPass:
     monkeypatch.setattr(surface, "CONTRAST_M", 2.0)
     monkeypatch.setattr(surface, "NOISE_M", 2.0)
     monkeypatch.setattr(surface, "EXTENDED_M", (1.0, 2.0))
-    reach_m = facets.reach_m() + surface.noise_reach_cells() + 3.0
+    reach_m = facets.reach_m() + surface.noise_reach_cells(1.0) + 3.0
     return replace(NearGroundPass(), reach_m=reach_m)
 
 

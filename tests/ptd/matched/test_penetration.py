@@ -32,10 +32,34 @@ def town(rng: np.random.Generator, plants: bool) -> np.ndarray:
 def test_plants_are_seen_through_and_walls_are_not() -> None:
     everything = Window.everything()
     matched = seen_through(town(np.random.default_rng(1), plants=False), everything, MM)
-    assert matched == {"looks": 900, "through": 0}
+    assert (matched["looks"], matched["through"]) == (900, 0)
     scanned = seen_through(town(np.random.default_rng(1), plants=True), everything, MM)
     # 8 x 7 cells; those at the edges have 4 or 6 of 9.
-    assert scanned == {"looks": 900, "through": 6 * 5}
+    assert (scanned["looks"], scanned["through"]) == (900, 6 * 5)
+
+
+@pytest.mark.parametrize("plants", [False, True])
+def test_sparse_plants_are_seen_through_in_wide_cells_and_walls_are_not(plants: bool) -> None:
+    """At 1.4 points/m2; 5 x 4 wide cells touch the trees, 9 of them whole; walls part the points of theirs."""
+    sparse = town(np.random.default_rng(1), plants)[:, :5000]
+    found = seen_through(sparse, Window.everything(), MM)
+    assert found["wide_looks"] == 225
+    assert found["wide_gaps"] >= 14  # the walls of the house
+    assert (9 <= found["wide_through"] <= 20) if plants else found["wide_through"] == 0
+
+
+@pytest.mark.parametrize(
+    ("low", "n", "through"), [((2.0, 2.0), 3, 1), ((2.0, 2.0), 2, 0), ((0.5, 2.0), 3, 0), ((0.4, 0.4), 3, 0)]
+)
+def test_points_below_are_seen_through_others_where_no_line_parts_them(
+    low: tuple[float, float], n: int, through: int
+) -> None:
+    """Low points amid eight high ones in a cell of 4 m, or beside them; four cells are the same. Two are blunders."""
+    ring = [(1.0, 1.0), (2.0, 1.0), (3.0, 1.0), (1.0, 2.0), (3.0, 2.0), (1.0, 3.0), (2.0, 3.0), (3.0, 3.0)]
+    one = np.array([(x, y, 5.0) for x, y in ring] + n * [(*low, 0.0)])
+    xyz = np.concatenate([one + [4.0 * i, 4.0 * j, 0.0] for i in (0, 1) for j in (0, 1)])
+    found = seen_through(counts(*xyz.T), Window(0, 0, 4000, 4000), MM)
+    assert (found["wide_looks"], found["wide_gaps"], found["wide_through"]) == (1, 1, through)
 
 
 @pytest.mark.parametrize(
@@ -53,24 +77,27 @@ def test_a_gap_is_two_empty_metres_between_points(heights: list[float], gap: boo
     """The middle one of 3 x 3 cells that all hold the same heights."""
     xs, ys, zs = (a.ravel() for a in np.meshgrid([1.0, 3.0, 5.0], [1.0, 3.0, 5.0], heights))
     found = seen_through(counts(xs, ys, zs), Window(2000, 2000, 4000, 4000), MM)
-    assert found == {"looks": 1, "through": int(gap)}
+    assert (found["looks"], found["through"]) == (1, int(gap))
     feet = Scale(Fraction(3048, 10_000_000), Fraction(3048, 10_000_000))
     xyz = np.rint(np.stack([xs, ys, zs]) / 0.3048 * 1000 + [[0.5], [0.5], [0]]).astype(np.int32)
     side = round(2 / 0.3048 * 1000)
     if 500.0 not in heights and 3.0 not in heights:  # a height at a bin's edge is rounded in feet
-        assert seen_through(xyz, Window(side, side, 2 * side, 2 * side), feet) == found
+        in_feet = seen_through(xyz, Window(side, side, 2 * side, 2 * side), feet)
+        assert (in_feet["looks"], in_feet["through"]) == (1, int(gap))
 
 
 def test_a_point_alone_and_no_point() -> None:
-    assert seen_through(np.zeros((3, 0), np.int32), Window.everything(), MM) == {"looks": 0, "through": 0}
-    assert seen_through(counts(*np.ones((3, 1))), Window.everything(), MM) == {"looks": 1, "through": 0}
+    none = dict.fromkeys(("looks", "through", "wide_looks", "wide_through", "wide_gaps"), 0)
+    assert seen_through(np.zeros((3, 0), np.int32), Window.everything(), MM) == none
+    assert seen_through(counts(*np.ones((3, 1))), Window.everything(), MM) == none | {"looks": 1}
 
 
-def test_cores_add_up_in_any_order_of_points() -> None:
+@pytest.mark.parametrize("n", [5000, 20_000])
+def test_cores_add_up_in_any_order_of_points(n: int) -> None:
     rng = np.random.default_rng(2)
-    xyz = town(rng, plants=True)
+    xyz = town(rng, plants=True)[:, :n]
     whole = seen_through(xyz, Window.everything(), MM)
-    total = {"looks": 0, "through": 0}
+    total = dict.fromkeys(whole, 0)
     edges = [-1, 17_300, 41_111, 61_000]  # within cells
     reach = round(REACH_M * 1000)
     for west, east in itertools.pairwise(edges):

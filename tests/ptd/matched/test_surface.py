@@ -175,7 +175,7 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_nothing_beyond_the_reach_has_a_part(seed: int) -> None:
     """What is cut off at any multiple of the blocks changes nothing so far from the cut, bit for bit."""
     rng = np.random.default_rng(seed)
-    reach = reach_cells()
+    reach = reach_cells(1.0)
     side = 2 * reach + 64
     row, column = np.mgrid[:side, :side]
     z = 2.0 * np.sin(row / 9.0) + 0.1 * column + rng.normal(0.0, 0.2, row.shape)

@@ -54,9 +54,13 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
     monkeypatch.setattr(surface, "EXTENDED_M", (1.0, 2.0))
     monkeypatch.setattr(objects, "WIDEST_M", 14.0)
     monkeypatch.setattr(objects, "TERRAIN_M", 10.0)
-    seen = objects.reach_cells() + surface.STIFF.reach + 1.0
+    seen = max(
+        side * (objects.reach_cells(side) + replace(surface.STIFF, cell_m=side).reach + 1)
+        for side in passes.SIDES_M
+    )
     later = [replace(step, reach_m=seen) for step in passes.PASSES[1:3]]
-    last = replace(passes.PASSES[3], reach_m=surface.reach_cells() + 3.0)
+    reach_m = max(side * (surface.reach_cells(side) + 3) for side in passes.SIDES_M)
+    last = replace(passes.PASSES[3], reach_m=reach_m)
 
     class ShortSighted(Auto):
         passes = (Auto().passes[0], passes.PASSES[0], *later, last)
@@ -64,9 +68,9 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
     return ShortSighted
 
 
-@pytest.mark.parametrize("tile_m", [20.0, 37.0])
-def test_tiles_do_not_show(short_sighted: type[Auto], tile_m: float) -> None:
-    points = counts(village()[0] + [0.0, 0.0, 30.0])
+@pytest.mark.parametrize(("tile_m", "every"), [(20.0, 1), (37.0, 1), (37.0, 9)])
+def test_tiles_do_not_show(short_sighted: type[Auto], tile_m: float, every: int) -> None:
+    points = counts(village()[0][::every] + [0.0, 0.0, 30.0])
     whole, marks, state = classify_tiled(points, Scale(), short_sighted(), None, kind="dim")
     assert not marks.any()
     assert 0.3 < (whole == 2).mean() < 0.95

@@ -100,8 +100,20 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
         survey, notes = decided(Auto(), found, Seen(1000, several, 500, through), run)
         assert survey["kind"] == "lidar"
         assert notes[0].startswith(f"decided: laser scanning ({why})")
-    sparse, _ = decided(Auto(), Roughness(3.9, 0.066, 50, 0.07), Seen(0, 0, 500, 0), run)
-    assert sparse["kind"] == "lidar"
+    for density, seen, kind in (
+        (3.9, Seen(0, 0, 5000, 19, 2000, 99, 100), "dim"),  # nearly 5 % of wide cells: walls and chance
+        (3.9, Seen(0, 0, 5000, 19, 2000, 100, 100), "lidar"),
+        (3.9, Seen(0, 0, 5000, 20, 2000, 0, 100), "lidar"),
+        (3.9, Seen(0, 0, 5000, 0, 2000, 0, 99), "lidar"),  # next to nothing stands there
+        (0.9, Seen(0, 0, 5000, 0, 2000, 0, 100), "lidar"),
+        (4.0, Seen(0, 0, 5000, 0, 2000, 110, 0), "dim"),  # dense: wide cells have no say
+    ):
+        assert decided(Auto(), Roughness(density, 0.066, 50, 0.07), seen, run)[0]["kind"] == kind
+    noise = [
+        decided(Auto(), Roughness(d, 0.066, 50, 0.1), Seen(0, 0, 0, 0), run | {"kind": "dim"})[0]
+        for d in (2.9, 3.0)
+    ]
+    assert [survey["cell_sigma_m"] for survey in noise] == [0.066, 0.1]  # few quarters of patches have enough
 
 
 @pytest.mark.parametrize("kind", ["dim", "lidar"])
@@ -204,9 +216,9 @@ def test_reaches_are_those_of_the_rules() -> None:
         "roofs4": 229.0,
         "label": None,
         "cells": 4.0,
-        "objects": 320.0,
-        "inner-objects": 320.0,
-        "surface": 374.0,
+        "objects": 324.0,
+        "inner-objects": 324.0,
+        "surface": 436.0,
     }
 
 
