@@ -19,20 +19,7 @@ from tests.invariants.runs import do, output_digests, the_store
 from tests.scenes.running import wait_for
 
 STAGES = ("spool", "assemble", "filter0", "grid-dtm", "export")
-OPTIONS = (
-    "--method",
-    "classic",
-    "--workers",
-    2,
-    "--resolution",
-    1,
-    "--tile-size",
-    64,
-    "--halo",
-    80,
-    "--memory",
-    "1GiB",
-)
+OPTIONS = "--method classic --workers 2 --resolution 1 --tile-size 64 --halo 80 --memory 1GiB"
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +47,7 @@ def start(interruptible: None) -> Iterator[Start]:
 
     def begin(cloud: Path, out: Path) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            command("run", cloud, "-o", out, *OPTIONS),
+            command("run", cloud, "-o", out, *OPTIONS.split()),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -129,20 +129,8 @@ def test_the_command_line_does_the_same(
     default_run: Finished, demo: DemoScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    options = (
-        "-o",
-        out,
-        "--workers",
-        2,
-        "--resolution",
-        1,
-        "--tile-size",
-        128,
-        "--halo",
-        80,
-        "--memory",
-        "1GiB",
-    )
+    said = "--workers 2 --resolution 1 --tile-size 128 --halo 80 --memory 1GiB"
+    options = ["-o", out, *said.split()]
     first = tiler("run", *demo.paths, *options)
     assert first.returncode == 0, first.stderr
     assert "DTM" in first.stdout

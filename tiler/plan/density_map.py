@@ -40,9 +40,16 @@ class DensityMap:
         weights = np.concatenate([np.empty(0), *(w for _, w in parts)])
         self._cells, self._held = _gathered(cells, weights)
         self._fullest: dict[float, float] = {}
+        self._squares: dict[tuple[float, ...], float] = {}
 
     def squares(self, side_m: float, low: Sequence[float], high: Sequence[float]) -> float:
         """About how many squares of that side, on a lattice anchored at 0, hold points between two corners, metres."""
+        asked = (side_m, *low, *high)
+        if asked not in self._squares:  # a run asks for the same ones whenever it writes run.json
+            self._squares[asked] = self._count_squares(side_m, low, high)
+        return self._squares[asked]
+
+    def _count_squares(self, side_m: float, low: Sequence[float], high: Sequence[float]) -> float:
         inside = np.all((self._cells + 1) * self._cell > low, axis=1) & np.all(
             self._cells * self._cell < high, axis=1
         )
