@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import laspy
+import numpy as np
 import pytest
 
 import tiler
@@ -15,6 +17,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import settings
 from tiler.apps.clean import clean
 from tiler.apps.info import describe
+from tiler.config import RunConfig
 from tiler.errors import ConfigError, LockedError, TilerError
 from tiler.pipeline import run
 from tiler.report.html import write_report_at
@@ -66,6 +69,31 @@ def test_results_and_store_by_url(bucket: Any, tmp_path: Path, monkeypatch: pyte
     bucket.put_file(str(cloud), f"{BUCKET}/hill.laz")
     summary = run([f"s3://{BUCKET}"], "other", settings()).summary
     assert [entry["path"] for entry in summary["inputs"]] == [f"s3://{BUCKET}/hill.laz"]
+
+
+def test_a_real_cloud_has_the_same_bytes_everywhere(
+    bucket: Any, shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One and two workers, three tile sizes, two memories, here and in a bucket: 500 m of a mountain village."""
+    monkeypatch.chdir(tmp_path)
+    whole = laspy.read(shared_data / "dim" / "Churo_dim.laz")
+    x, y = (np.asarray(axis) - axis.min() for axis in (whole.x, whole.y))
+    cut = laspy.LasData(whole.header)
+    cut.points = whole.points[(x > 500) & (x < 1000) & (y > 700) & (y < 1200)]
+    cut.write(tmp_path / "churo.laz")
+
+    def do(out: str, **changes: Any) -> None:
+        config = RunConfig.from_mapping({"crs": "EPSG:32718", **changes})
+        assert run(["churo.laz"], out, config).exit_code == 0
+
+    do("two", workers=2)
+    do("one", workers=1, tile_size="160", memory="1GiB")
+    do("small", workers=2, tile_size="300", memory="4GiB")
+    do(f"s3://{BUCKET}/churo", workers=2)
+    for name in ("dtm.tif", "classified/churo.laz"):
+        expected = (tmp_path / "two" / name).read_bytes()
+        assert bucket.cat(f"{BUCKET}/churo/{name}") == expected
+        assert [(tmp_path / out / name).read_bytes() == expected for out in ("one", "small")] == [True, True]
 
 
 def test_every_command_takes_urls(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
