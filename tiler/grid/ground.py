@@ -88,7 +88,7 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choo
         if rule.erode and len(index):
             own = block.xyz[:, _is_object(block, classes, is_ground, rule, store, cell)]
             index = index[~_beside_objects(store, rule, cell, block.xyz[:, index], own, edges)]
-        points = np.ascontiguousarray(block.xyz[:, index])
+        points = block.xyz.take(index, axis=1)
         read += points.shape[1]
         parts.append(points if choose is None else points[:, choose(cell, points)])
         marks.append((classes[index] >= MARK_BIT) & (rule.labels is not None))
