@@ -171,7 +171,6 @@ def _write(job: Job, stage: str, tasks: list[Task], out: str) -> Commits:
     job.facts["digests"] |= {
         below(out, files[k]): record["digest"] for k, (_, record) in written.items() if "digest" in record
     }
-    for _, record in written.values():
-        for text in record.get("notes", ()):
-            job.note(text)
+    for text in dict.fromkeys(text for _, record in written.values() for text in record.get("notes", ())):
+        job.note(text)
     return written
