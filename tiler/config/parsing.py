@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any
 
+from tiler.core.nodata import parse_nodata
 from tiler.core.sheet_names import check_template
 from tiler.core.units import FARTHEST, parse_area, parse_length
 from tiler.errors import ConfigError
@@ -66,26 +65,6 @@ def parse_surface(value: Any) -> str:
     if isinstance(value, str) and value[:1] == "p" and value[1:].isdecimal() and int(value[1:]) <= 100:
         return value
     raise ConfigError(f"surface {value!r}: write all, median, or a percentile of the heights like p10")
-
-
-LOWEST_LAND, HIGHEST_LAND = -2000.0, 100_000.0
-"""Between them a value for nodata could be a height, in metres or feet."""
-
-
-def parse_nodata(value: Any) -> float:
-    """A value that float32 holds exactly and that no height takes; raises ConfigError."""
-    try:
-        number = float(value)
-        exact = struct.unpack("<f", struct.pack("<f", number))[0] == number
-    except (TypeError, ValueError):
-        raise ConfigError(f"nodata {value!r}: must be a number, like -9999 or -999999") from None
-    except OverflowError:
-        exact = False
-    if not exact or not math.isfinite(number):
-        raise ConfigError(f"nodata {value}: a raster of float32 cannot hold it exactly; use -9999 or -999999")
-    if LOWEST_LAND < number < HIGHEST_LAND:
-        raise ConfigError(f"nodata {value}: could be a height; use -9999 or -999999")
-    return number
 
 
 def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-NODATA = -9999.0
-"""Nodata value of every float32 raster that has pixels without a value."""
+from tiler.core.nodata import NODATA as NODATA
 
 OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE, WATER = range(6)
 """Values of the mask."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Cell, Lattice, row_by_row
-from tiler.core.products import NODATA as NODATA  # here for those that deal with rasters
+from tiler.core.nodata import NODATA as NODATA  # here for those that deal with rasters
 
 BLOCK_PIXELS = 512
 """Side of a block of a raster: what one task makes, a chunk in the store, and a tile in the files."""

@@ -12,7 +12,6 @@ from typing import Any
 
 from ptd.methods import METHODS, make_params
 from ptd.params import to_json
-from ptd.passes import Pass
 from tiler.config import RunConfig
 from tiler.core.area import Area
 from tiler.core.frame import CoordFrame
@@ -27,7 +26,8 @@ from tiler.plan.density_map import DensityMap
 from tiler.plan.disk import emptiness_warning, too_much_between
 from tiler.plan.distant_files import LeftOut, beyond_frame, minority
 from tiler.plan.drawings import with_drawings
-from tiler.plan.memory import PlannedPass, fine_cell_m
+from tiler.plan.halos import own_halo, planned_passes
+from tiler.plan.memory import fine_cell_m
 from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
 from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
 from tiler.plan.tiles_of_points import near_nodes, refuse_far, with_crs_of_tiles
@@ -147,11 +147,11 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     if config.statistics is not None:
         known = earlier_statistics(Path(config.statistics), config.method, parameters)
     kind = known_kind(config, known)
-    passes = _planned_passes(defaults, config, kind, notes) if defaults else ()
+    passes = planned_passes(defaults, config, kind, notes) if defaults else ()
     steps = steps_of(passes, kind)
     tile = config.tile_size or sizes.tile_m(memory, density, cell, likely_of(steps, kind, density), meta)
     warnings = warnings_of(filled, agreement.units, tile, [step.halo_m for step in steps])
-    warnings += advice.before(filled, config, density, _own_halo(defaults))
+    warnings += advice.before(filled, config, density, own_halo(defaults))
     plan = Plan(
         config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
@@ -240,45 +240,3 @@ def _readers(paths: Sequence[Path], config: RunConfig) -> int:
     workers = config.workers or machine.cores()
     near = min(workers, math.ceil((len(paths) - far) / FILES_OF_A_READER))
     return max(near, min(FAR_READERS, math.ceil(far / FILES_OF_A_READER)), 1)
-
-
-def _own_halo(params: Any) -> float | None:
-    """The halo that a method asks for, whatever ``--halo`` says; None if it has none or all its reaches are proven."""
-    steps = [] if params is None else [step for step in params.passes if step.reach_m is None]
-    return max((float(params.halo_m if s.halo_m is None else s.halo_m) for s in steps), default=None)
-
-
-def _planned_passes(
-    params: Any, config: RunConfig, kind: str | None, notes: list[str]
-) -> tuple[PlannedPass, ...]:
-    """The passes of a method with the halo that each starts with, for a cloud of that kind (None: not known)."""
-
-    def halo(step: Pass) -> float:
-        if step.reach_m is not None:
-            return step.reach_m
-        if config.halo is not None:
-            return float(config.halo)
-        return float(params.halo_m if step.halo_m is None else step.halo_m)
-
-    asked = [step for step in params.passes if step.kind is None or kind in (None, step.kind)]
-    fixed = [step for step in asked if step.reach_m is not None]
-    if config.halo is not None and fixed:
-        notes.append(
-            "--halo does not count for passes that know how far they look: "
-            + ", ".join(f"{step.name} {step.reach_m:g} m" for step in fixed)
-        )
-    return tuple(
-        PlannedPass(
-            s.name,
-            s.title or s.name,
-            halo(s),
-            s.reach_m is not None,
-            s.every_point,
-            s.elected,
-            s.label_margin_m,
-            type(s).applies is not Pass.applies,
-            s.kind,
-            s.raster_cell_m,
-        )
-        for s in params.passes
-    )

@@ -8,7 +8,7 @@ rises like an object. Figures, why there are passes and how far each sees: ``doc
 
 survey
     density, noise, returns, and what is seen through (`ptd.matched.survey`): laser scanning or image matching
-    (`settings`).
+    (`label_thresholds`).
 seeds
     low outliers out; what drops steeply in openings of growing radius (`objects`) is an object; all else is a seed.
 densify
@@ -72,9 +72,9 @@ from ptd.matched import passes as matched
 from ptd.matched import survey
 from ptd.matched.survey import Seen
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
+from ptd.methods.auto.label_thresholds import decided, label_thresholds
 from ptd.methods.auto.objects import Lowest
 from ptd.methods.auto.params import RING_M, AutoParameters
-from ptd.methods.auto.settings import decided, settings
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.tin.mesh import Tin
 
@@ -117,7 +117,7 @@ class SurveyPass(survey.SurveyPass):
     def decided(
         self, found: Roughness, seen: Seen, run: Mapping[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
-        """See `settings.decided`."""
+        """See `label_thresholds.decided`."""
         return decided(self.params, found, seen, run)
 
 
@@ -272,7 +272,7 @@ class LabelPass(LaserPass):
             return Labels(None, noise, window.closed, {"vertices": 0})
         tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale, spare=0)
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
-        s = settings(p, state["survey"])
+        s = label_thresholds(p, state["survey"])
         floor, per_slope = scale.counts(s.label_floor_m), scale.counts(s.label_slope_m)
         rule = GroundRule(p.limits(scale), floor, heights_only=True, per_slope=per_slope)
         terrain = Terrain(tin, in_doubt, noise, rule)

@@ -24,8 +24,8 @@ from ptd.matched.passes import (
 )
 from ptd.matched.surface import Surface
 from ptd.matched.survey import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen
+from ptd.methods.auto.label_thresholds import decided
 from ptd.methods.auto.method import Auto
-from ptd.methods.auto.settings import decided
 from ptd.passes import Points
 
 MM = Scale()

@@ -11,9 +11,9 @@ import ptd
 from ptd.frame import Window
 from ptd.ground import blocks
 from ptd.ground.roughness import Roughness
+from ptd.methods.auto.label_thresholds import Seen, decided, label_thresholds
 from ptd.methods.auto.method import OBJECT, Auto
 from ptd.methods.auto.params import Reaches
-from ptd.methods.auto.settings import Seen, decided, settings
 from ptd.passes import Points
 from tests.ptd.scenes import SCENES
 from tests.ptd.tiling import classify_tiled
@@ -151,7 +151,7 @@ def test_the_noise_that_matched_clouds_start_from_has_limits_and_is_the_users_if
 def test_the_last_pass_is_narrower_where_points_are_dense(
     density: float, sigma: float | None, floor: float, slope: float
 ) -> None:
-    chosen = settings(Auto(), {"density_m2": density, "label_sigma_m": sigma})
+    chosen = label_thresholds(Auto(), {"density_m2": density, "label_sigma_m": sigma})
     assert (chosen.label_floor_m, chosen.label_slope_m) == pytest.approx((floor, slope))
 
 

@@ -1,6 +1,6 @@
-"""What `auto` decides from the survey of a run: laser or matching, and how narrow the last pass is.
+"""How far from the surface the last pass of `auto` takes points for ground, as the survey of a run decides it.
 
-All that differs from cloud to cloud is in `settings`; what was decided is told in notes.
+Also whether the cloud is of a laser or matched; what was decided is told in notes.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ DENSE_SLOPE = 0.5
 
 
 @dataclass(frozen=True)
-class Settings:
+class LabelThresholds:
     """What the parameters come to in a run."""
 
     label_floor_m: float
     label_slope_m: float
 
 
-def settings(params: AutoParameters, survey: Mapping[str, Any]) -> Settings:
+def label_thresholds(params: AutoParameters, survey: Mapping[str, Any]) -> LabelThresholds:
     """Thresholds for a run, from what `decided` says of it."""
     said = survey["label_sigma_m"]
     dense = min(max((survey["density_m2"] - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
     floor = DENSE_FLOOR_M if said is None else max(DENSE_FLOOR_M, SAID_BASE_M + SAID_SIGMAS * said)
     floor = min(floor, params.label_floor_m)
-    return Settings(
+    return LabelThresholds(
         label_floor_m=params.label_floor_m + dense * (floor - params.label_floor_m),
         label_slope_m=params.label_slope_m * (1.0 - dense * (1.0 - DENSE_SLOPE)),
     )
@@ -76,7 +76,7 @@ def decided(
             "after a vote of neighbours"
         )
         return survey, notes
-    chosen = settings(params, survey)
+    chosen = label_thresholds(params, survey)
     notes.append(
         f"decided: ground is up to {chosen.label_floor_m:.2f} m + {chosen.label_slope_m:.2g} m x slope from the surface"
     )

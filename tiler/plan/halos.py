@@ -1,0 +1,51 @@
+"""How wide the halo is: how far beyond its tile each pass of a method looks, and who decides it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ptd.passes import Pass
+from tiler.config import RunConfig
+from tiler.plan.memory import PlannedPass
+
+
+def own_halo(params: Any) -> float | None:
+    """The halo that a method asks for, whatever ``--halo`` says; None if it has none or all its reaches are proven."""
+    steps = [] if params is None else [step for step in params.passes if step.reach_m is None]
+    return max((float(params.halo_m if s.halo_m is None else s.halo_m) for s in steps), default=None)
+
+
+def planned_passes(
+    params: Any, config: RunConfig, kind: str | None, notes: list[str]
+) -> tuple[PlannedPass, ...]:
+    """The passes of a method with the halo that each starts with, for a cloud of that kind (None: not known)."""
+
+    def halo(step: Pass) -> float:
+        if step.reach_m is not None:
+            return step.reach_m
+        if config.halo is not None:
+            return float(config.halo)
+        return float(params.halo_m if step.halo_m is None else step.halo_m)
+
+    asked = [step for step in params.passes if step.kind is None or kind in (None, step.kind)]
+    fixed = [step for step in asked if step.reach_m is not None]
+    if config.halo is not None and fixed:
+        notes.append(
+            "--halo does not count for passes that know how far they look: "
+            + ", ".join(f"{step.name} {step.reach_m:g} m" for step in fixed)
+        )
+    return tuple(
+        PlannedPass(
+            s.name,
+            s.title or s.name,
+            halo(s),
+            s.reach_m is not None,
+            s.every_point,
+            s.elected,
+            s.label_margin_m,
+            type(s).applies is not Pass.applies,
+            s.kind,
+            s.raster_cell_m,
+        )
+        for s in params.passes
+    )
