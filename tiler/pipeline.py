@@ -12,6 +12,7 @@ from typing import Any
 
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, DamagedError, ProcessingError, StoreError
+from tiler.ingest import SourceInfo
 from tiler.io.locations import is_url, joined, put_file
 from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_digests, earlier_outputs, folder_here
 from tiler.observe.eventlog import EventLog
@@ -49,6 +50,7 @@ def run(
     config: RunConfig | None = None,
     listener: Listener = silent,
     until: str = "export",
+    known: Sequence[SourceInfo] = (),
 ) -> RunResult:
     """Clouds to terrain; goes on with what ``out`` holds.
 
@@ -64,6 +66,8 @@ def run(
         Told what happens, see `tiler.observe.events`.
     until : str
         Last stage to do: ``ingest``, ``filter``, ``grid`` or ``export``.
+    known : sequence of SourceInfo
+        See `tiler.plan.make_plan`.
 
     Raises
     ------
@@ -77,7 +81,7 @@ def run(
         raise ConfigError("-o: has no name; name a folder for the results")
     out = folder_here(products)
     started = time.monotonic()
-    plan = make_plan(inputs, config, products)
+    plan = make_plan(inputs, config, products, known)
     _make_folder(out)
     if not is_url(products):
         products = str(out.resolve())  # workers have folders of their own

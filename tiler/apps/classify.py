@@ -88,7 +88,8 @@ def _classify(
     except OSError as error:
         raise ConfigError(f"{target}: its folder cannot be made ({error.strerror}); name another") from error
     with TemporaryDirectory(prefix=".tiler-", dir=target.parent) as scratch:
-        summary = run([str(source)], scratch, config.updated(store=None), listener, until="filter").summary
+        config = config.updated(store=None)
+        summary = run([str(source)], scratch, config, listener, until="filter", known=[info]).summary
         store = open_store(str(Path(scratch) / STORE))
         work = WriteClassified(
             path=str(source),

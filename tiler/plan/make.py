@@ -41,7 +41,12 @@ FAR_READERS = 8
 """Processes that look into objects at URLs: they wait for answers most of the time, whatever the number of cores."""
 
 
-def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None = None) -> Plan:
+def make_plan(
+    inputs: Sequence[str],
+    config: RunConfig,
+    out: str | Path | None = None,
+    known: Sequence[SourceInfo] = (),
+) -> Plan:
     """Read the headers, settle CRS, units, method, sizes, and refuse what cannot work.
 
     Parameters
@@ -51,6 +56,8 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     config : RunConfig
     out : path or URL, optional
         Of the run's results: what is there of other makers is not replaced, and the disk of a folder is checked.
+    known : sequence of SourceInfo
+        What was found a moment ago in all the inputs: nothing is started to look into them again.
 
     Raises
     ------
@@ -65,7 +72,7 @@ def make_plan(inputs: Sequence[str], config: RunConfig, out: str | Path | None =
     paths = find_inputs(inputs, folder, notes.append, wanted=partial(near_nodes, config))
     if out is not None:
         refuse_places(config, str(out), paths)
-    sources, unreadable = _inspect_all(paths, config)
+    sources, unreadable = _inspect_all(paths, config, known)
     sources = with_crs_of_tiles(inputs, sources)
     agreement = agree(sources, config)
     notes += agreement.notes
@@ -213,7 +220,12 @@ def _names(sources: Sequence[SourceInfo]) -> str:
     return f"{sources[0].path}" + (f" and {len(sources) - 1} more files" if len(sources) > 1 else "")
 
 
-def _inspect_all(paths: Sequence[Path], config: RunConfig) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
+def _inspect_all(
+    paths: Sequence[Path], config: RunConfig, known: Sequence[SourceInfo]
+) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
+    given = {str(source.path): source for source in known}
+    if given and all(str(path) in given for path in paths):
+        return [given[str(path)] for path in paths], []
     sources: list[SourceInfo] = []
     unreadable: list[tuple[str, str]] = []
     with Guards(_readers(paths, config)) as guards:
