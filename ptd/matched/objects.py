@@ -24,9 +24,10 @@ DIAGONAL = 1.4
 NEAR_M, NEAR_SHARE = 1.0, 0.2
 """A surface of which this share lies so near the stiff hull, or more, is terrain."""
 FALL_M, FALL_CELLS, FALL_SHARE = 1.2, 2, 0.6
-"""At an object's rim this share of the cells, or more, has another surface so far below within so many cells."""
-ALL_FALLS = 0.9
-"""At a rim that falls nearly everywhere it does not matter how near the hull is: halls may be too wide for that."""
+"""At an object's rim more than this share of the cells has another surface so far below within so many cells."""
+ALL_FALLS, FALL_LEAST = 0.9, 0.4
+"""At a rim that falls nearly everywhere it does not matter how near the hull is: halls may be too wide for that. Where
+objects found before are not counted, it still falls at this share of the whole rim."""
 CUT_NEAR = 0.5
 """Unless the border of the data cuts the surface: then the fall may be a quay or a bank, and no more than this share
 may lie near the hull."""
@@ -40,8 +41,9 @@ ridges and crests. But no more than this share of its cells may be rim: the top 
 ON_HULL_M, ON_HULL_SHARE = 70.0, 0.5
 """And what is wider than this both ways, falls as little, and lies near the hull by this share: the ground of a small
 survey. In a strip or a garden plants that lean on it would have too large a part."""
-INSIDE_SHARE = 0.5
-"""A surface of any size is judged if so much of its rim is that of objects found before: equipment on a roof."""
+INSIDE_SHARE, INSIDE_M2 = 0.5, 1000.0
+"""A surface, however small, is judged if so much of its rim is that of objects found before: equipment on a roof. Not a
+larger one: it may be a terrace among houses."""
 
 
 @kernel
@@ -126,10 +128,10 @@ def judged(
     area, near, rim, falls, inside, cut = counts.T
     sides_m = np.stack([box[:, 1] - box[:, 0] + 1, box[:, 3] - box[:, 2] + 1]) * cell_m
     width_m = sides_m.max(axis=0)
-    enclosed = inside > INSIDE_SHARE * rim
+    enclosed = (inside > INSIDE_SHARE * rim) & (area * cell_m**2 < INSIDE_M2)
     large = (area * cell_m**2 >= AREA_M2) | enclosed
     fallen = np.where(enclosed, inside + falls, falls) / np.maximum(rim, 1)
-    around = falls > np.maximum(ALL_FALLS * (rim - inside), FALL_SHARE * rim)
+    around = falls > np.maximum(ALL_FALLS * (rim - inside), FALL_LEAST * rim)
     around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
     objects = large & stands & (width_m <= WIDEST_M)
