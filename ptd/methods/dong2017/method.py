@@ -30,8 +30,8 @@ thresholds come from the plane of angles and distances (3.3.4): none of them is 
 
 **Matched clouds**, which the paper is about, are filtered otherwise by default. Vegetation, facades and seeds are found
 among the points, as above. Then ground grows on one robust height per cell of 1 m (`ptd.matched.cells`), starting from
-the cells that hold a seed: thresholds, TINs and densities are the paper's, but all densities are gone through twice.
-The last pass judges every point, green ones too, to both sides of the TIN of these cells, by the noise around
+the cells that hold a seed: thresholds, TINs and densities are the paper's, but all densities are gone through three
+times. The last pass judges every point, green ones too, to both sides of the TIN of these cells, by the noise around
 (`ptd.matched.on_cells`). ``--set robust_cells=no`` gives the paper's steps on points, which a cloud that is taken for a
 laser scan gets as well.
 
@@ -79,7 +79,7 @@ ON_CELLS = (
 SLACK_M = 1.0
 """More than what roundings can add to a reach."""
 
-TIMES_ON_CELLS = 2
+TIMES_ON_CELLS = 3
 """Times that ground grows through all densities on cells: beyond a bank that only the finest TINs climbed the wide ones
 go on."""
 
