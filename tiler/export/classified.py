@@ -29,13 +29,15 @@ from tiler.io.las.unchanged import refuse_changed, unchanged
 from tiler.io.las.writer import PlainWriter, PointWriter
 from tiler.io.locations import cloud_path, folder_for, state_of
 from tiler.io.partial_files import partial_path, sync_folder
-from tiler.store import KeptRecords, TileStore, open_store
+from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27
 """Labels held in memory at once, one byte each."""
 
-_CHUNK = 50_000
-_STEP = 10 * _CHUNK
+_STEP = SPOOL_CHUNK
+"""Records that are read, changed and written at a time: the processor's cache holds them."""
+_CHUNKS_A_THREAD = 2
+"""Of 65,536 records, that each of several threads compresses at a time: they wait for the last one of each step."""
 _FEW_BYTES = 1 << 14
 _MARK = 0x80
 _WAVE_FORMATS = (9, 10)
@@ -135,7 +137,8 @@ def _write_points(
     channels: set[int] = set()
     statistics = CloudStatistics(form)
     highest = LEGACY_CLASS_MASK if is_legacy(form.point_format) else 255
-    step = rows_at_once(max(header.record_length, form.record_length), _STEP)
+    at_once = _STEP if work.threads == 1 else _STEP * _CHUNKS_A_THREAD * work.threads
+    step = rows_at_once(max(header.record_length, form.record_length), at_once)
     with _reader(store, header, work) as reader:
         for ranges in _spans(work.ranges or [(0, header.point_count)]):
             first, last = ranges[0][0], ranges[-1][1]
