@@ -12,6 +12,8 @@ from tests.invariants.runs import computed, do, stored_labels, the_store
 from tiler.errors import ConfigError
 
 HALO_M = 16
+FINE = {"thin_cell": "0.5"}
+"""Cells so small that a place flown seven times holds more candidates."""
 
 
 @pytest.fixture
@@ -32,11 +34,11 @@ def test_a_tile_that_is_too_full_is_divided(
     crowded: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
-    do(crowded, tmp_path / "whole", until="filter", tile_size="256", halo=HALO_M)
+    do(crowded, tmp_path / "whole", until="filter", tile_size="256", halo=HALO_M, parameters=FINE)
     expected, doubtful = stored_labels(tmp_path / "whole")
     # So dear that the fullest windows of 64 m do not fit, those of a bucket of 32 m and its halo do.
     monkeypatch.setattr("tiler.plan.memory.READ_BYTES", 40_000)
-    settings = {"tile_size": "64", "halo": HALO_M, "memory": "1GiB"}
+    settings = {"tile_size": "64", "halo": HALO_M, "memory": "1GiB", "parameters": FINE}
     done = computed(do(crowded, out, until="filter", **settings))
     names = sorted(the_store(out).committed("filter0"))
     parts = [name for name in names if "." in name]
