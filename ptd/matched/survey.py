@@ -79,10 +79,10 @@ def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict
     if run.get("kind") is not None:
         kind, why = run["kind"], "as --kind or the preset says"
     elif share >= SEVERAL_SHARE:
-        kind, why = LIDAR, f"{100 * share:.2g} % of the points are one of several returns"
+        kind, why = LIDAR, f"{_percent(share)} % of the points are one of several returns"
     elif through >= SEEN_THROUGH_SHARE or wide_through >= WIDE_SHARE:
         kind, most = LIDAR, max(through, wide_through)
-        why = f"pulses passed through plants in {100 * most:.2g} % of the area, though each point is a single return"
+        why = f"pulses passed through plants in {_percent(most)} % of the area, though each point is a single return"
     elif found.density_m2 < LEAST_M2:
         kind, why = LIDAR, f"fewer than {LEAST_M2:g} points/m2, and no returns that say more"
     elif sparse and seen.wide_gaps < STANDING:
@@ -103,6 +103,11 @@ def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict
     told = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
     named = "image matching" if kind == DIM else "laser scanning"
     return survey, f"decided: {named} ({why}); {found.density_m2:.3g} points/m2, {told}"
+
+
+def _percent(share: float) -> str:
+    """In two digits, without an exponent."""
+    return f"{float(f'{100 * share:.2g}'):g}"
 
 
 @dataclass(frozen=True)

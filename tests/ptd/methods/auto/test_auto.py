@@ -95,6 +95,7 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
     assert decided(Auto(), found, Seen(0, 0, 500, 1), run)[0]["kind"] == "dim"  # returns are not known
     for several, through, why in (
         (10, 0, "1 % of the points are one of several returns"),
+        (1000, 0, "100 % of the points are one of several returns"),
         (0, 2, "pulses passed through plants in 0.4 % of the area, though each point is a single return"),
     ):
         survey, notes = decided(Auto(), found, Seen(1000, several, 500, through), run)
