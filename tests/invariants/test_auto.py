@@ -41,6 +41,4 @@ def test_what_was_decided_is_told_and_a_narrow_halo_too(city_file: Path, tmp_pat
     result = do(city_file, tmp_path / "out", "filter", method="auto", halo="5", tile_size=96)
     notes = [*result.summary["statistics"]["survey"]["notes"], *result.summary["plan"]["notes"]]
     assert any(note.startswith("decided: laser scanning") for note in notes)
-    assert any(
-        "seeds sees 60 m, refine sees 60 m, roofs sees 229 m, roofs2 sees 229 m" in note for note in notes
-    )
+    assert any("seeds 60 m, refine 60 m, roofs 229 m, roofs2 229 m" in note for note in notes)

@@ -146,7 +146,7 @@ def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
     wider = plan(halo="40")
     assert [step.halo_m for step in wider.passes] == [0.0, 40.0, 8.0]
     assert wider.overlap == pytest.approx(112**2 / 32**2)
-    assert any("mean sees 0 m, lonely sees 8 m, as far as they reach" in note for note in wider.notes)
+    assert any("how far they look: mean 0 m, lonely 8 m" in note for note in wider.notes)
     assert wider.projected_memory()["filter"] > ours.projected_memory()["filter"]
 
 
