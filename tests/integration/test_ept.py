@@ -15,7 +15,7 @@ from tests.scenes.ept_files import write_ept
 from tests.tiler.servers import http_server
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import find_inputs
+from tiler.ingest import find_inputs, read_point_tiles
 from tiler.plan import make_plan, tiles_of_points
 
 SETTINGS = {"method": "classic", "halo": "8", "max_edge": "5"}
@@ -64,6 +64,8 @@ def test_a_window_over_http_reads_the_nodes_near_it(
     [
         ("ept.json", {"dataType": "binary"}, "of the type 'binary', laszip can be read"),
         ("ept.json", {"dataType": "laszip", "bounds": [0, 0, 0]}, "no cube"),
+        ("ept.json", {"dataType": "laszip", "bounds": [0, 0, 0, 10**400, 1, 1]}, "no cube"),
+        ("ept.json", {"dataType": "laszip", "bounds": [-1.7e308, 0, 0, 1.7e308, 1, 1]}, "no cube"),
         ("ept.json", "[]", "holds no object"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": 5, "1-7-0-0": 3}, "says '1-7-0-0: 3'"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": -1}, "does not say how many"),
@@ -82,3 +84,8 @@ def test_what_is_damaged_is_one_line(
         find_inputs([str(path)])
     assert reason in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_a_crs_of_half_a_character_is_none(city: laspy.LasData, tmp_path: Path) -> None:
+    path = write_ept(tmp_path / "ept", city, 100_000, srs={"wkt": "\ud800"})
+    assert read_point_tiles(str(path)).wkt is None

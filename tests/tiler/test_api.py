@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import doctest
 import logging
 import shutil
@@ -11,6 +12,7 @@ import sys
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 import laspy
 import numpy as np
@@ -144,7 +146,7 @@ def test_a_run_tells_and_shows(
         "a",
     }
     assert shown.links
-    assert all(link is not None and Path(link).exists() for link in shown.links)
+    assert all(link is not None and Path(unquote(link)).exists() for link in shown.links)
     assert "<b>out" not in result._repr_html_()
 
 
@@ -152,6 +154,8 @@ def test_a_classified_cloud_and_a_check_show(in_process: None) -> None:
     classified = tiler.classify("clouds/a.las", "shown.laz", PLAIN)
     assert f'<td class="number">{classified.classes[2]:,}</td>' in classified._repr_html_()
     assert Markup(classified._repr_html_()).links == ["shown.laz"]
+    named = dataclasses.replace(classified, path=Path("javascript:alert(1)%.laz"))
+    assert Markup(named._repr_html_()).links == ["javascript%3Aalert%281%29%25.laz"]
     tiler.run("clouds", "checked", PLAIN)
     checked = tiler.check(
         "checked/dtm.tif", "checkpoints.csv", require=["rmse=0.1", "points=4"], tile_size=20

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,8 @@ MOST_BYTES = 1 << 28
 MOST_NODES = 1 << 20
 
 _DEEPEST = 30
+_FARTHEST = 1e12
+"""Units from the origin, which no CRS reaches; beyond it are numbers that no float holds, and boxes without a side."""
 _NOT_LOADED = -1
 """In place of a number of points: a page of its own tells it."""
 
@@ -80,7 +81,7 @@ def read_point_tiles(text: str) -> PointTiles:
         )
     if not (
         isinstance(bounds, list) and len(bounds) == 6
-        and all(isinstance(v, int | float) and math.isfinite(v) for v in bounds) and bounds[3] > bounds[0]
+        and all(isinstance(v, int | float) and abs(v) <= _FARTHEST for v in bounds) and bounds[3] > bounds[0]
     ):  # fmt: skip
         _refuse(text, f"has bounds {excerpt(str(bounds))}, no cube")
     return PointTiles(
@@ -156,7 +157,7 @@ def _wkt(text: str, found: Mapping[str, Any]) -> str | None:
         if isinstance(known, str) and known:
             try:
                 return str(CRS.from_user_input(known).to_wkt())
-            except CRSError:
+            except (CRSError, UnicodeEncodeError):  # half of a character: JSON can write it
                 continue
     return None
 

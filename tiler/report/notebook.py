@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 from xml.etree import ElementTree
 
 from rasterio.errors import RasterioError
@@ -159,6 +160,8 @@ def _href(place: str) -> str:
         return place
     path = Path(os.path.abspath(place))
     try:
-        return path.relative_to(Path.cwd()).as_posix()
+        return quote(
+            path.relative_to(Path.cwd()).as_posix()
+        )  # a colon would make a scheme of what stands before it
     except (ValueError, OSError):
         return path.as_uri()

@@ -10,7 +10,7 @@
     elected/<name>                 int32 (rows, 3, ROW_POINTS): points that a pass made, in the rows of their buckets
     rasters/<name>                 float32 (height, width)
     spool/<piece>                  points of one source piece, sorted by bucket
-    records/<piece>                records of one source piece as they were decoded
+    records/<piece>-<bytes>        records of one source piece as they were decoded
     commits/<stage>/<key>.json     one finished task
     packs/<stage>.json             finished tasks, packed into one object
     state/<name>.json              state of the run
@@ -30,7 +30,7 @@ import numpy as np
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import StoreError
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 ROOT_ATTRIBUTE = "tiler_store"
 
 ROW_POINTS = 131072
@@ -177,9 +177,9 @@ def spool_path(piece: str) -> str:
     return f"spool/{safe(piece)}"
 
 
-def records_path(piece: str) -> str:
-    """Path of the records of a piece."""
-    return f"records/{safe(piece)}"
+def records_path(piece: str, record_bytes: int) -> str:
+    """Path of the records of a piece: the file that had its name before may have had records of another length."""
+    return f"records/{safe(piece)}-{record_bytes}"
 
 
 def index_key(digest: str) -> str:

@@ -41,7 +41,7 @@ class RecordKeeper:
     """
 
     def __init__(self, storage: Storage, piece: str, identity: str | None, record_bytes: int) -> None:
-        self._storage, self._path = storage, layout.records_path(piece)
+        self._storage, self._path = storage, layout.records_path(piece, record_bytes)
         self._kind, self._attributes = layout.records_kind(record_bytes), {"identity": identity}
         self._array = RowArray(storage, self._path, self._kind, 0, {})
         self._chunks = self._count = 0
@@ -89,7 +89,7 @@ def find_records(
     end = 0
     for piece in pieces if dtype.itemsize <= LONGEST_BYTES else ():
         kind = layout.records_kind(dtype.itemsize)
-        array = find_rows(storage, layout.records_path(piece.name), kind)
+        array = find_rows(storage, layout.records_path(piece.name, dtype.itemsize), kind)
         wanted: tuple[Any, ...] = (end, piece.count, piece.identity)
         if array is None or (piece.start, array.rows, array.attributes.get("identity")) != wanted:
             return None

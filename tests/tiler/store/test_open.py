@@ -212,9 +212,9 @@ def test_a_store_that_is_begun_anew_keeps_what_others_put_there(store_url: str, 
 
 def test_a_store_of_an_earlier_version_can_be_begun_anew(local_store: TileStore) -> None:
     local_store.put_state("plan", 1)
-    edit(Path(local_store.url, "zarr.json"), lambda d: d["attributes"]["tiler_store"].update(schema=1))
+    edit(Path(local_store.url, "zarr.json"), lambda d: d["attributes"]["tiler_store"].update(schema=2))
     with pytest.raises(
-        ForeignStoreError, match="store of schema 1, this version reads 2; run again with --ov"
+        ForeignStoreError, match="store of schema 2, this version reads 3; run again with --ov"
     ):
         create_store(local_store.url, FEET)
     assert create_store(local_store.url, FEET, anew=True).get_state("plan") is None

@@ -48,3 +48,13 @@ def test_what_is_not_all_of_a_source_is_nothing(
     keeper.add(np.zeros(4, TYPE))
     keeper.close()
     assert local_store.records(pieces, count, TYPE) is None
+
+
+def test_records_of_a_file_of_another_format_are_not_taken_for_those_of_its_successor(
+    local_store: TileStore,
+) -> None:
+    keeper = local_store.keep_records("p", "earlier", TYPE.itemsize)
+    keeper.add(np.zeros(4, TYPE))
+    keeper.close()
+    wider = np.dtype([*TYPE.descr, ("c", "u1")])
+    assert local_store.records([KeptPiece("p", 0, 4, "later")], 4, wider) is None
