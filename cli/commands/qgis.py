@@ -6,16 +6,22 @@ from pathlib import Path
 
 import click
 
+from cli import exit_codes
 from cli.output import say
 from cli.session import TilerCommand
 
 
-@click.group("qgis")
-def command() -> None:
+@click.group("qgis", invoke_without_command=True)
+@click.pass_context
+def command(context: click.Context) -> int:
     """The plugin for QGIS: into a profile, or into an archive.
 
     It adds tiler to the Processing toolbox of QGIS 3.22 or newer: Run, Preview, Classify, Check, Apply edits.
     """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help(), err=True)
+        return exit_codes.USAGE
+    return exit_codes.DONE
 
 
 @command.command("install", cls=TilerCommand)

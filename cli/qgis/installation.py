@@ -14,6 +14,7 @@ from typing import Any
 
 from cli.qgis.table import table
 from tiler.errors import ConfigError, refused_write
+from tiler.io.partial_files import appearing
 from tiler.version import __version__
 
 FOLDER = "tiler_qgis"
@@ -65,9 +66,8 @@ def install(profile: str) -> Path:
         target.mkdir(parents=True, exist_ok=True)
         # The table first: a folder that was left half written is known by it.
         for name in sorted(new, key=lambda name: name != TABLE):
-            part = target / f"{name}.partial"
-            part.write_bytes(new[name])
-            part.replace(target / name)
+            with appearing(target / name) as part:
+                part.write_bytes(new[name])
         for name in earlier - new.keys():
             (target / name).unlink(missing_ok=True)
     except OSError as error:
@@ -79,16 +79,13 @@ def package(target: Path) -> None:
     """Write the plugin into an archive, from which QGIS installs it on any machine."""
     if target.exists() and not _is_package(target):
         raise ConfigError(f"{target}: is there and no package of this plugin; choose another name")
-    part = target.with_name(f"{target.name}.partial")
     try:
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        with appearing(target) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in plugin_files().items():
                 entry = zipfile.ZipInfo(f"{FOLDER}/{name}", FIRST_TIME)
                 entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
                 archive.writestr(entry, content)
-        part.replace(target)
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise refused_write(str(target), error, target.parent) from error
 
 
