@@ -14,10 +14,15 @@ _USERINFO = re.compile(
 _QUERY = re.compile(r"""(:/{1,2}[^\s"'<>?]*)\?[^\s"'<>]*[^\s"'<>:;,.)\]}\\]""")
 _NAMED_VALUE = re.compile(r"""\?[\w.~%-]+=[^\s"'<>]*[^\s"'<>:;,.)\]}\\]""")
 """The query of a URL whose path holds a space."""
+_AUTHORIZATION = re.compile(
+    r"""(?i)(\bauthorization['"]?\s*[:=]\s*)(?:"[^"]*"|'[^']*'|(?:\w+ )?[^\s"'<>,;)}\]]+)"""
+)
+"""A header of a request, which libraries for the web print in their errors."""
 
 
 def without_secrets(text: str) -> str:
-    """The text with every URL in it stripped of user, password and query, where tokens and signatures stand."""
+    """The text without the user, password and query of its URLs, where tokens stand, nor the login of its requests."""
+    text = _AUTHORIZATION.sub(r"\1...", text)
     if ":/" not in text:
         return text
     return _NAMED_VALUE.sub("", _QUERY.sub(r"\1", _USERINFO.sub(r"\1", text)))

@@ -68,11 +68,21 @@ def _lower_cells(heights: Int32, keys: Int64, z: Int32, which: Bool) -> None:
 
 
 @kernel
-def _fill_runs(runs: Int32, row: Int32, radius: int) -> None:
-    """``runs[k, i]``: the minimum of the 2**k cells from i on of a row with `radius` empty cells at both ends."""
+def _fill_runs(runs: Int32, row: Int32, radius: int) -> tuple[int, int]:
+    """``runs[k, i]``: the minimum of the 2**k cells from i on of a row with `radius` empty cells at both ends.
+
+    Returns the first filled column and the one behind the last; (width, 0) for an empty row.
+    """
     width = row.size
+    start, end = 0, width
+    while start < width and row[start] == EMPTY:
+        start += 1
+    while end > start and row[end - 1] == EMPTY:
+        end -= 1
     runs[:, :] = EMPTY
-    for i in range(width):
+    if start == width:
+        return width, 0
+    for i in range(start, end):
         runs[0, radius + i] = row[i]
     for k in range(1, runs.shape[0]):
         half = 1 << (k - 1)
@@ -80,6 +90,7 @@ def _fill_runs(runs: Int32, row: Int32, radius: int) -> None:
         first, second, out = runs[k - 1, :n], runs[k - 1, half:], runs[k, :n]
         for i in range(n):
             out[i] = min(first[i], second[i])
+    return start, end
 
 
 @kernel
@@ -87,28 +98,36 @@ def _disk_minimum(heights: Int32, half_widths: Int64, levels: Int64, out: Int32)
     """Each chord of the disk is covered by two runs of 2**level cells (Urbach and Wilkinson 2008).
 
     The first chord is the widest. Runs of the rows that the disk touches go round in a buffer that stays in the cache.
+    Sparse points leave most rows empty, and the others filled over a few columns: the rest is not looked at.
     """
     height, width = heights.shape
     radius = half_widths.size - 1
     span = 2 * radius + 1
     buffer = np.full((span, levels[0] + 1, width + 2 * radius), EMPTY, np.int32)
+    first, end = np.full(span, width), np.zeros(span, np.int64)  # filled columns of the rows in the buffer
     for row in range(-radius, height):
+        slot = (row + radius) % span
+        first[slot], end[slot] = width, 0
         if row + radius < height:
-            _fill_runs(buffer[(row + radius) % span], heights[row + radius], radius)
+            first[slot], end[slot] = _fill_runs(buffer[slot], heights[row + radius], radius)
         else:
-            buffer[(row + radius) % span] = EMPTY
+            buffer[slot] = EMPTY
         if row < 0:
             continue
         lowest = out[row]
         lowest[:] = EMPTY
         for dy in range(radius + 1):
-            k = levels[dy]
-            left, right = radius - half_widths[dy], radius + half_widths[dy] + 1 - (1 << k)
-            below, above = buffer[(row - dy) % span, k], buffer[(row + dy) % span, k]
-            a, b = below[left : left + width], below[right : right + width]
-            c, d = above[left : left + width], above[right : right + width]
-            for i in range(width):
-                lowest[i] = min(lowest[i], min(min(a[i], b[i]), min(c[i], d[i])))
+            south, north, half, k = (row - dy) % span, (row + dy) % span, half_widths[dy], levels[dy]
+            start = max(min(first[south], first[north]) - half, 0)
+            n = min(max(end[south], end[north]) + half, width) - start
+            if n <= 0:
+                continue
+            left, right = radius - half + start, radius + half + 1 - (1 << k) + start
+            a, b = buffer[south, k, left : left + n], buffer[south, k, right : right + n]
+            c, d = buffer[north, k, left : left + n], buffer[north, k, right : right + n]
+            cells = lowest[start : start + n]
+            for i in range(n):
+                cells[i] = min(cells[i], min(min(a[i], b[i]), min(c[i], d[i])))
 
 
 def disk_minimum(heights: Int32, radius: float) -> Int32:

@@ -39,6 +39,9 @@ def _box_means(values: Int32, reach: int) -> Float64:
     means = np.empty((height + 2 * reach, width + 2 * reach), np.float64)
     for row in range(means.shape[0]):
         south, north = max(row - 2 * reach, 0), min(row + 1, height)
+        if counts[north, width] == counts[south, width]:  # most rows, where points are sparse
+            means[row] = np.nan
+            continue
         for column in range(means.shape[1]):
             west, east = max(column - 2 * reach, 0), min(column + 1, width)
             n = counts[north, east] - counts[north, west] - counts[south, east] + counts[south, west]

@@ -27,6 +27,11 @@ from tiler.store.storage import Storage
         ("ftp://anna:p/w@host/x", "ftp://host/x"),
         ("ftp://anna:p#w?@host/x", "ftp://host/x"),
         ('"http://h/x?a=b\\"c', '"http://h/x\\"c'),
+        (
+            "headers=<D('Authorization': 'Basic YTpi', 'A': 'b')>",
+            "headers=<D('Authorization': ..., 'A': 'b')>",
+        ),
+        ("authorization: Bearer abc.def-g_h\nHost: h", "authorization: ...\nHost: h"),
         # Nothing that is no secret is lost.
         ("s3://bucket/a@b.laz: gone", "s3://bucket/a@b.laz: gone"),
         ("http://[::1]:80/x@y", "http://[::1]:80/x@y"),

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
 from tiler.io.json_text import read_object
-from tiler.io.locations import cloud_path, is_url, joined, state_at
+from tiler.io.locations import cloud_path, is_url, joined, state_at, without_query
 from tiler.io.result_folder import RUN, STORE, read_run
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def describe(path: str) -> dict[str, Any]:
         )
     if place.is_dir():
         return _describe_folder(place)
-    if place.suffix.lower() not in _CLOUDS:
+    if not without_query(path).lower().endswith(_CLOUDS):
         from tiler.schedule import half_of_memory, read_apart
 
         return read_apart(describe_raster, place, paths=(place,), memory_bytes=half_of_memory())

@@ -44,6 +44,11 @@ def cloud_path(text: str | Path) -> Path:
         ) from error
 
 
+def without_query(text: str) -> str:
+    """A path, or a URL without what follows the question mark of a web server's: it ends with the file's name."""
+    return text.partition("?")[0] if text.startswith("http") else text
+
+
 def _of_server(url: str) -> bool:
     """Whether what a URL names is reached by a host and a user: see `tiler.io.server_paths`."""
     return url.startswith(("ftp://", "sftp://", "ssh://", "smb://"))
@@ -149,7 +154,7 @@ def list_clouds(url: str, suffixes: tuple[str, ...]) -> list[Path]:
         There is nothing, or it cannot be listed.
     """
     cloud_path(url)  # says which library lacks
-    path = url.partition("?")[0] if url.startswith("http") else url
+    path = without_query(url)
     try:
         with storage_errors():
             system, place = _system(url)
