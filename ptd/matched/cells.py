@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -91,13 +92,23 @@ def _level_heights(z: Int32, starts: Int64, order: Int32, width: int) -> tuple[I
     return heights, counts
 
 
+class _ByCell(NamedTuple):
+    """Points, and which of them are in each cell of a raster taken row by row (`by_cell`)."""
+
+    x: Int32
+    y: Int32
+    z: Int32
+    starts: Int64
+    order: Int32
+
+
 @kernel
 def _tilted_heights(
-    x: Int32, y: Int32, z: Int32, starts: Int64, order: Int32, columns: int, centre_x: Int64, centre_y: Int64,
-    width: int, steepest: int, level: Int64, counts: Int64,
-) -> Int64:  # fmt: skip
+    points: _ByCell, centre_x: Int64, centre_y: Int64, width: int, steepest: int, level: Int64, counts: Int64
+) -> Int64:
     """Heights of cells whose neighbours tell a slope, with that slope taken off, if more points agree on them then."""
-    heights = level.copy()
+    x, y, z, starts, order = points
+    heights, columns = level.copy(), centre_x.size
     buffer, room = np.empty(np.diff(starts).max(), np.int32), np.empty(FEW, np.int32)
     for k in range(columns + 1, starts.size - 1 - columns - 1):
         west, east, south, north = counts[k - 1], counts[k + 1], counts[k - columns], counts[k + columns]
@@ -163,9 +174,8 @@ def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float, cell_
         [(cells.south(row0 + i) + cells.south(row0 + i + 1)) // 2 for i in range(rows)], np.int64
     )
     steepest = round(2 * STEEPEST * scale.counts_z(cell_m))
-    heights = _tilted_heights(
-        x, y, z, starts, order, columns, centre_x, centre_y, window, steepest, level, counts
-    )
+    points = _ByCell(x, y, z, starts, order)
+    heights = _tilted_heights(points, centre_x, centre_y, window, steepest, level, counts)
     found = np.flatnonzero(counts)
     cx, cy = centre_x[found % columns], centre_y[found // columns]
     own = (cx >= bounds.west) & (cx < bounds.east) & (cy >= bounds.south) & (cy < bounds.north)

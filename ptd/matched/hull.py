@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -125,16 +126,33 @@ def _smooth(values: Float64, std: float) -> Float64:
     return found
 
 
+class _Blocks(NamedTuple):
+    """Blocks of so many cells a side: their lowest cells, and how these rise to the north and to the east (`tilts`)."""
+
+    cells: int
+    lowest: Int32
+    north: Int64
+    east: Int64
+
+
+class _Found(NamedTuple):
+    """Tops of the lowest paraboloids around a centre, and the cells that limit them; room for a number a block."""
+
+    best: Int64
+    held: Int64
+    falls_east: Int64
+
+
 @kernel
-def _highest_fit(
-    heights: Int32, lowest: Int32, falls: Int64, r: int, c: int, north: int, east: int, best: Int64, held: Int64,
-    falls_east: Int64, block: int,
-) -> None:  # fmt: skip
+def _highest_fit(heights: Int32, blocks: _Blocks, falls: Int64, r: int, c: int, found: _Found) -> None:
     """Tops of the lowest paraboloids around a centre that each one cell limits, in rising order, into ``best``.
 
     ``held``: the cells that limit them; before, those of the last centre (-1: none). As none that is looked for is
-    higher than with these, most blocks are passed over. ``falls_east`` is room for a number a block.
+    higher than with these, most blocks are passed over.
     """
+    block, lowest = blocks.cells, blocks.lowest
+    north, east = blocks.north[r // block, c // block], blocks.east[r // block, c // block]
+    best, held, falls_east = found
     rows, columns = heights.shape
     radius, last = falls.size - 1, best.size - 1
     limit = wide(LOWEST)
@@ -186,15 +204,14 @@ def _raise(hull: Int32, top: int, profile: Int32) -> None:
 
 @kernel
 def _union(
-    heights: Int32, lowest: Int32, falls: Int64, stride: int, row0: int, column0: int, cut: int, north: Int64,
-    east: Int64, block: int,
-) -> Int32:  # fmt: skip
+    heights: Int32, blocks: _Blocks, falls: Int64, stride: int, row0: int, column0: int, cut: int
+) -> Int32:
     """Height of the highest paraboloid over each cell, LOWEST where there is none."""
     rows, columns = heights.shape
-    radius = falls.size - 1
+    radius, block = falls.size - 1, blocks.cells
     hull = np.full((rows, columns), LOWEST, np.int32)
     best, held = np.empty(cut + 1, np.int64), np.full(cut + 1, -1, np.int64)
-    falls_east = np.empty(lowest.shape[1], np.int64)
+    found = _Found(best, held, np.empty(blocks.lowest.shape[1], np.int64))
     profile = np.empty(2 * radius + 1, np.int32)
     for r in range(row0, rows, stride):
         for c in range(column0, columns, stride):
@@ -204,10 +221,10 @@ def _union(
                     near |= heights[rr, cc] != EMPTY
             if not near:
                 continue
-            n, e = north[r // block, c // block], east[r // block, c // block]
-            _highest_fit(heights, lowest, falls, r, c, n, e, best, held, falls_east, block)
+            _highest_fit(heights, blocks, falls, r, c, found)
             if held[cut] < 0:
                 continue
+            n, e = blocks.north[r // block, c // block], blocks.east[r // block, c // block]
             for k in range(profile.size):
                 profile[k] = e * (k - radius) - falls[abs(k - radius)]
             c0, c1 = max(c - radius, 0), min(c + radius + 1, columns)
@@ -243,4 +260,5 @@ def hull_below(
     if stride == 1:
         return hull_around_every_cell(heights, EMPTY, LOWEST, falls, rule.cut_cells, rule.block, north, east)
     first = -row % stride, -column % stride
-    return _union(heights, lowest, falls, stride, *first, rule.cut_cells, north, east, rule.block)
+    blocks = _Blocks(rule.block, lowest, north, east)
+    return _union(heights, blocks, falls, stride, *first, rule.cut_cells)
