@@ -19,7 +19,8 @@ def command(context: click.Context) -> int:
     It adds tiler to the Processing toolbox of QGIS 3.22 or newer: Run, Preview, Classify, Check, Apply edits.
     """
     if context.invoked_subcommand is None:
-        click.echo(context.get_help(), err=True)
+        for line in context.get_help().splitlines():
+            say(line, error=True)
         return exit_codes.USAGE
     return exit_codes.DONE
 
