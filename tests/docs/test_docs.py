@@ -24,7 +24,10 @@ PORT = "8786"
 
 
 def blocks(page: Path) -> list[tuple[int, str]]:
-    """Exit code and commands of each block; blocks of Python that follow one another are one script."""
+    """Exit code and commands of each block; blocks of Python that follow one another are one script.
+
+    Those that are marked with anything else, as ``on-a-cluster``, are left out.
+    """
     found: list[tuple[int, str]] = []
     for language, made in groupby(BLOCK.findall(page.read_text("utf-8")), key=lambda block: block[0]):
         if language == "python":

@@ -70,8 +70,9 @@ def test_four_times_the_points_take_no_more_memory(tmp_path: Path) -> None:
         (many / f"{number}.las").write_bytes(shifted(cloud, east, north))
     small, large = peaks(one), peaks(many)
     assert large["points"] > 3.9 * small["points"] > 6_000_000
-    # One city hardly fills a window of the grid, nor a picture of the report.
-    for what in ("spool", "assemble", "filter0", "grid-dtm", "export"):
+    # One city hardly fills a window of the grid, nor a picture of the report; and no tile of the filter, as these are
+    # as large as the memory allows: of them what was projected is held against it, below.
+    for what in ("spool", "assemble", "grid-dtm", "export"):
         assert large[what] <= 1.2 * small[what], what
     assert large["command"] <= small["command"] + (64 << 20)
     projected, allowed = large["plan"]["projected_memory_bytes"], large["plan"]["memory_bytes"]

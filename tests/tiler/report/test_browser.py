@@ -100,7 +100,7 @@ def test_everything_is_drawn(opened: Any, scheme: str) -> None:
     assert page.locator("#state").inner_text() == "Finished, with something left out"
     for title in ("Files left out: 1", "Tasks that failed: 1"):
         assert page.get_by_role("heading", name=title).is_visible()
-    assert page.locator("#legend").inner_text().split("\n")[-1].strip().endswith("1 failed")
+    assert page.locator("#legend").inner_text().split("\n")[-1].strip() == "1 tile failed"
     assert page.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 0)")
     for name in ("hillshade", "density", "mask", ""):
         page.select_option("#choose-picture", name)
@@ -108,7 +108,7 @@ def test_everything_is_drawn(opened: Any, scheme: str) -> None:
         page.select_option("#choose-tiles", name)
     page.check("#choose-files")
     page.select_option("#choose-stage", "1")
-    assert page.locator("#legend").inner_text().strip().startswith("4 done")
+    assert page.locator("#legend").inner_text().strip().startswith("4 tiles done")
     background = page.evaluate("getComputedStyle(document.body).backgroundColor")
     assert (background == "rgb(255, 255, 255)") == (scheme == "light")
 
