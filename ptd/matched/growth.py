@@ -88,9 +88,8 @@ def _is_between(height: Float64, ground: Bool, row: int, column: int) -> bool:
             if ground[row - k * dr, column - k * dc]:
                 behind = height[row - k * dr, column - k * dc]
         middle, half = 0.5 * (ahead + behind), 0.5 * abs(ahead - behind)
-        if (
-            height[row, column] < middle + (2 * BETWEEN_SHARE - 1) * half
-        ):  # never with ground on one side alone
+        # NaN, and so never, with ground on one side alone.
+        if height[row, column] < middle + (2 * BETWEEN_SHARE - 1) * half:
             return True
     return False
 
