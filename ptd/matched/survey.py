@@ -26,6 +26,10 @@ WIDE_SHARE, STANDING = 0.05, 100
 """The same for wide cells: 0.054 to 0.33 in laser scans with plants, thinned to 1 to 3 points/m2, 0 to 0.047 in matched
 clouds but for wooded cliffs (0.06 to 0.12). So many wide cells must have a gap at all, as beside walls: sparse scans of
 single returns are common, and where nothing stands nothing tells."""
+SPARSE_LASER_SIGMA_M, FLAT = 0.04, 10
+"""Noise of flat places up to which a sparse cloud is a laser's, and how many it must rest on. Thinned to 1 to 3
+points/m2, laser scans with nothing to see through have 0.016 to 0.036 m, matched clouds 0.044 to 0.17 but for two from
+near by (0.016 and 0.027), which lose no more in the way of laser scans than in their own."""
 LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M = 0.03, 0.25
 """Noise that the rules of matched clouds start from: errors of neighbours are alike, which planes do not see; and among
 trees nothing is smooth."""
@@ -87,6 +91,8 @@ def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict
         kind, why = LIDAR, f"fewer than {LEAST_M2:g} points/m2, and no returns that say more"
     elif sparse and seen.wide_gaps < STANDING:
         kind, why = LIDAR, "sparse, and next to nothing stands there that a laser would see through"
+    elif sparse and found.patches >= FLAT and (found.sigma_m or 1.0) <= SPARSE_LASER_SIGMA_M:
+        kind, why = LIDAR, f"sparse, and flat places scatter by {found.sigma_m:.2g} m alone"
     else:
         kind, why = DIM, "no point is one of several returns, and nothing is seen through plants"
     given = run["sigma_m"]
