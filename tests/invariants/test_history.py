@@ -18,7 +18,6 @@ from ptd.methods import METHODS
 from ptd.methods.classic import Classic, ClassicPass
 from ptd.passes import Method
 from tests.invariants.runs import computed, do, output_digests
-from tiler.store import arrays
 from tiler.store.lock import FOLDER_LOCK
 from tiler.store.storage import Storage
 
@@ -79,7 +78,6 @@ def cut_off(writes: int) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch, suppress(CutOffError):
         for name in ("put", "delete", "delete_folder"):
             patch.setattr(Storage, name, counted(getattr(Storage, name)))
-        patch.setattr(arrays, "write", counted(arrays.write))
         yield
 
 

@@ -15,7 +15,7 @@ def small_stores(patch: pytest.MonkeyPatch, bucket_points: int = 1000, row_point
     Neither changes a result. Rows are known to this process alone: workers need the usual.
     """
     patch.setattr("tiler.plan.sizes.BUCKET_POINTS", bucket_points)
-    for module in ("layout", "points", "elected"):
+    for module in ("layout", "points", "labels"):
         patch.setattr(f"tiler.store.{module}.ROW_POINTS", row_points)
 
     def short(kind: layout.ArrayKind) -> layout.ArrayKind:

@@ -1,100 +1,171 @@
-"""Arrays as the layout wants them: made, checked before zarr sees them, read without silent zeros."""
+"""Arrays as the layout wants them: their metadata by zarr, their chunks read and written whole by the calling thread.
+
+The bytes are zarr's (blosc, then a crc32c), and zarr reads them. Through its event loop and pool of threads a chunk
+costs more than a millisecond of CPU time whatever is in it, and tasks read little else: see docs/decisions.md.
+"""
 
 from __future__ import annotations
 
-import itertools
 import json
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
+import google_crc32c
+import numcodecs.blosc
 import numpy as np
 import numpy.typing as npt
 import zarr
-from zarr.abc.store import ByteRequest
 from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
-from zarr.core.array_spec import ArrayConfigParams
-from zarr.core.buffer import Buffer, BufferPrototype
-from zarr.core.metadata import ArrayV3Metadata
-from zarr.storage import MemoryStore, StorePath, WrapperStore
+from zarr.core.buffer import Buffer
+from zarr.storage import MemoryStore
 
 from tiler.errors import DamagedError, StoreError
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind
-from tiler.store.storage import Storage, failed_write, seal_holds, sealed
+from tiler.store.storage import Storage, seal_holds, sealed
 
-ZarrArray: TypeAlias = "zarr.Array[Any]"  # a string: older zarr 3.1 has no generic array
+numcodecs.blosc.use_threads = False  # parallelism is over processes
 
-
-class _Checked(WrapperStore[Any]):
-    """A store whose chunks are looked at before they are decoded.
-
-    A missing one is an error unless the array is sparse: zarr would read it as the fill value. One that says it
-    unpacks to something else than a chunk is an error, too: blosc would allocate what it says.
-    """
-
-    def __init__(self, store: Any, kind: ArrayKind) -> None:
-        super().__init__(store)
-        self._kind = kind
-
-    async def get(
-        self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
-    ) -> Buffer | None:
-        value = await super().get(key, prototype, byte_range)
-        if key.endswith("zarr.json"):
-            return value
-        if value is None:
-            if self._kind.sparse:
-                return None
-            raise DamagedError(f"{self._store}: {key} is missing; run again, and it is made anew", (key,))
-        head = value[_UNPACKED].to_bytes()
-        if int.from_bytes(head, "little") != self._kind.chunk_bytes:
-            path = key.split("/c/")[0]
-            raise DamagedError(
-                f"{self._store}: {path} is damaged (a chunk of another size); run again, and it is made anew",
-                (key,),
-            )
-        return value
-
-
+_CHECKSUM_BYTES = 4
 _UNPACKED = slice(4, 8)
 """Where a blosc frame says how many bytes it unpacks to (C-Blosc, README_CHUNK_FORMAT)."""
 
+Chunk = tuple[int, ...]
+"""Number of a chunk along each axis."""
 
-def create_array(
-    storage: Storage,
-    path: str,
-    shape: tuple[int, ...],
-    kind: ArrayKind,
-    attributes: dict[str, Any] | None = None,
-) -> ZarrArray:
-    """A new array, or the one that another task made at the same time with the same arguments."""
-    create_metadata(storage, path, shape, kind, attributes)
+
+@dataclass(frozen=True)
+class StoredArray:
+    """An array that is open.
+
+    Attributes
+    ----------
+    storage : Storage
+    path : str
+    kind : ArrayKind
+    shape : tuple of int
+    fill : float
+        Value of what was never written; that of ``kind`` but for rasters.
+    attributes : dict
+    """
+
+    storage: Storage
+    path: str
+    kind: ArrayKind
+    shape: tuple[int, ...]
+    fill: float
+    attributes: dict[str, Any]
+
+    @property
+    def rows(self) -> int:
+        """Length of the first axis."""
+        return self.shape[0]
+
+    def read_rows(self, numbers: Sequence[int]) -> list[npt.NDArray[Any]]:
+        """`read`, of an array whose chunks follow one another along the first axis."""
+        return self.read([self._row(number) for number in numbers])
+
+    def read(self, chunks: Sequence[Chunk]) -> list[npt.NDArray[Any]]:
+        """Whole chunks, read-only; raises DamagedError, which names those damaged or missing."""
+        keys = [self._key(chunk) for chunk in chunks]
+        found, bad, reason = [], [], ""
+        for key, data in zip(keys, self.storage.get_many(keys), strict=True):
+            try:
+                found.append(self._decoded(data))
+            except (ValueError, RuntimeError) as error:
+                bad.append(key)
+                reason = reason or str(error)
+        if bad:
+            raise DamagedError(
+                f"{self.storage.url}: {self.path} is damaged ({reason}); run again, and it is made anew",
+                tuple(bad),
+            )
+        return found
+
+    def write_row(self, number: int, values: npt.NDArray[Any]) -> None:
+        """`write`, of an array whose chunks follow one another along the first axis."""
+        self.write(self._row(number), values)
+
+    def write(self, chunk: Chunk, values: npt.NDArray[Any]) -> None:
+        """Write a whole chunk; raises ProcessingError where the file system refuses."""
+        if self.kind.sparse and np.all(values == self.fill):
+            self.storage.delete(self._key(chunk))
+        else:
+            self.storage.put(self._key(chunk), _encoded(values, self.kind))
+
+    def _row(self, number: int) -> Chunk:
+        return (number, *(0,) * (len(self.shape) - 1))
+
+    def _key(self, chunk: Chunk) -> str:
+        return f"{self.path}/c/{'/'.join(map(str, chunk))}"
+
+    def _decoded(self, data: bytes | None) -> npt.NDArray[Any]:
+        """The values of a chunk; ValueError or RuntimeError (of blosc) say what is wrong with it.
+
+        One that says it unpacks to something else than a chunk is not decoded: blosc would allocate what it says.
+        """
+        if data is None:
+            if self.kind.sparse:
+                return np.full(self.kind.chunks, self.fill, self.kind.dtype)
+            raise ValueError("a chunk is missing")
+        if int.from_bytes(data[_UNPACKED], "little") != self.kind.chunk_bytes:
+            raise ValueError("a chunk of another size")
+        body = data[:-_CHECKSUM_BYTES]
+        if google_crc32c.value(body) != int.from_bytes(data[-_CHECKSUM_BYTES:], "little"):
+            raise ValueError("a wrong checksum")
+        return np.frombuffer(numcodecs.blosc.decompress(body), self.kind.dtype).reshape(self.kind.chunks)
+
+
+def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
+    items = np.ascontiguousarray(values, kind.dtype).reshape(-1).view(f"V{kind.shuffled}")
+    body: bytes = numcodecs.blosc.compress(items, kind.codec.encode(), kind.level, numcodecs.blosc.SHUFFLE)
+    checksum: int = google_crc32c.value(body)
+    return body + checksum.to_bytes(_CHECKSUM_BYTES, "little")
+
+
+def find_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray | None:
+    """The array at ``path``; None where there is none, StoreError where it is not one that tiler writes."""
+    data = storage.get(f"{path}/zarr.json")
+    if data is None:
+        return None
+    metadata = _checked(data, f"{storage.url}: {path}", path, kind)
+    shape, fill = tuple(map(int, metadata["shape"])), float(metadata["fill_value"])
+    return StoredArray(storage, path, kind, shape, fill, metadata["attributes"])
+
+
+def open_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray:
+    """The array at ``path``; DamagedError where there is none, StoreError where it is a foreign one."""
     array = find_array(storage, path, kind)
     if array is None:
-        raise StoreError(f"{storage.url}: {path} vanished while it was made; is another run at work here?")
+        raise DamagedError(f"{storage.url}: there is no {path}; run the stage that writes it first", (path,))
     return array
 
 
-def create_metadata(
+def made_rows(storage: Storage, path: str, kind: ArrayKind, rows: int) -> StoredArray:
+    """The array at ``path``, made by the first task that writes to it; others make the same."""
+    array = find_array(storage, path, kind)
+    return array or write_metadata(storage, path, (rows, *kind.chunks[1:]), kind)
+
+
+def lengthen_rows(storage: Storage, path: str, kind: ArrayKind, rows: int) -> None:
+    """Make the array at ``path``, or let it be longer; never shortens."""
+    array = made_rows(storage, path, kind, rows)
+    if array.rows < rows:
+        write_metadata(storage, path, (rows, *kind.chunks[1:]), kind, array.attributes)
+
+
+def write_metadata(
     storage: Storage,
     path: str,
     shape: tuple[int, ...],
     kind: ArrayKind,
     attributes: dict[str, Any] | None = None,
-) -> None:
-    """Say that there is an array, unless somebody has said so."""
-    if storage.get(_metadata_key(path)) is None:
-        replace_metadata(storage, path, shape, kind, attributes or {})
+) -> StoredArray:
+    """Say what an array is from now on: its chunks stay as they are.
 
-
-def replace_metadata(
-    storage: Storage, path: str, shape: tuple[int, ...], kind: ArrayKind, attributes: dict[str, Any]
-) -> None:
-    """Say what an array is from now on: its chunks stay as they are."""
-    metadata = _metadata(shape, kind, attributes)
-    storage.put(_metadata_key(path), json.dumps(sealed(metadata)).encode())
-
-
-def _metadata(shape: tuple[int, ...], kind: ArrayKind, attributes: dict[str, Any]) -> dict[str, Any]:
-    """What zarr writes about an array, made in memory: with its checksum it reaches the store in one piece."""
+    Made by zarr in memory: with a checksum they reach the store in one piece.
+    """
+    attributes = attributes or {}
     blosc = BloscCodec(typesize=kind.shuffled, cname=kind.codec, clevel=kind.level, shuffle="shuffle")
     written: dict[str, Buffer] = {}
     zarr.create_array(
@@ -103,55 +174,8 @@ def _metadata(shape: tuple[int, ...], kind: ArrayKind, attributes: dict[str, Any
         zarr_format=3,
     )  # fmt: skip
     metadata: dict[str, Any] = json.loads(written["zarr.json"].to_bytes())
-    return metadata
-
-
-def _metadata_key(path: str) -> str:
-    return f"{path}/zarr.json"
-
-
-def find_metadata(storage: Storage, path: str, kind: ArrayKind) -> dict[str, Any] | None:
-    """What is said of the array at ``path``; None where there is none.
-
-    Raises
-    ------
-    StoreError
-        The array is not one that tiler writes.
-    """
-    data = storage.get(_metadata_key(path))
-    return None if data is None else _checked(data, f"{storage.url}: {path}", path, kind)
-
-
-def find_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray | None:
-    """The array at ``path``; None where there is none.
-
-    Its metadata are checked before zarr builds anything from them.
-
-    Raises
-    ------
-    StoreError
-        The array is not one that tiler writes.
-    """
-    metadata = find_metadata(storage, path, kind)
-    if metadata is None:
-        return None
-    store = _Checked(storage.zarr_store, kind)
-    parsed = ArrayV3Metadata.from_dict(metadata)
-    config: ArrayConfigParams = {"write_empty_chunks": not kind.sparse}
-    return zarr.Array(zarr.AsyncArray(parsed, StorePath(store, path), config))
-
-
-def open_array(storage: Storage, path: str, kind: ArrayKind) -> ZarrArray:
-    """The array at ``path``; raises StoreError where there is none, or a foreign one."""
-    array = find_array(storage, path, kind)
-    if array is None:
-        raise no_array(storage, path)
-    return array
-
-
-def no_array(storage: Storage, path: str) -> DamagedError:
-    """The error of an array that should be there."""
-    return DamagedError(f"{storage.url}: there is no {path}; run the stage that writes it first", (path,))
+    storage.put(f"{path}/zarr.json", json.dumps(sealed(metadata)).encode())
+    return StoredArray(storage, path, kind, shape, kind.fill, attributes)
 
 
 def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, Any]:
@@ -179,48 +203,3 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
         strange = ", ".join(sorted(map(str, codecs - ALLOWED_CODECS)))
         raise StoreError(f"{where}: codec {strange} is not allowed in a store; run again with --overwrite")
     return metadata
-
-
-def read(storage: Storage, array: ZarrArray, selection: Any) -> npt.NDArray[Any]:
-    """Values of an array; raises DamagedError, which names the chunks, where some are damaged or missing."""
-    try:
-        return np.asarray(array[selection])
-    except (ValueError, RuntimeError, DamagedError) as error:
-        raise _damage(storage, array, selection, error) from error
-
-
-def write(storage: Storage, array: ZarrArray, selection: Any, values: npt.NDArray[Any]) -> None:
-    """Write whole chunks of an array; raises ProcessingError where the file system refuses."""
-    try:
-        array[selection] = values
-    except OSError as error:
-        raise failed_write(storage.url, array.path, error) from error
-
-
-def _damage(storage: Storage, array: ZarrArray, selection: Any, error: Exception) -> DamagedError:
-    """The error that names the damaged chunks of a selection of slices.
-
-    A wrong checksum is a ValueError of the crc32c codec, a chunk of another size one of the bytes codec, a broken
-    frame a RuntimeError of blosc.
-    """
-    parts = selection if isinstance(selection, tuple) else (selection,)
-    parts = (*parts, *[slice(None)] * (array.ndim - len(parts)))
-    ranges = []
-    for part, length, chunk in zip(parts, array.shape, array.chunks, strict=True):
-        start, stop, _ = part.indices(length)
-        ranges.append(range(start // chunk, -(-stop // chunk)))
-    bad = []
-    for block in itertools.product(*ranges):
-        try:
-            array.blocks[block]
-        except (ValueError, RuntimeError, DamagedError):
-            bad.append(f"{array.path}/c/{'/'.join(map(str, block))}")
-    reason = (
-        str(error).split(". ")[0]
-        if not isinstance(error, DamagedError)
-        else "a chunk is missing or of another size"
-    )
-    return DamagedError(
-        f"{storage.url}: {array.path} is damaged ({reason}); run again, and it is made anew",
-        tuple(bad) or (array.path,),
-    )

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from itertools import compress
 from typing import Any
 
@@ -14,15 +13,16 @@ import numpy.typing as npt
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.errors import ConfigError, StoreError
-from tiler.store import layout, rows
+from tiler.store import arrays, layout
+from tiler.store.arrays import StoredArray
 from tiler.store.index import Bucket
 from tiler.store.layout import ROW_POINTS, Column
-from tiler.store.storage import Storage
+from tiler.store.part import StorePart
 
 Mask = npt.NDArray[np.bool_] | None
 Keep = Callable[[PointBlock, "Part"], Mask]
 
-_ROWS_AT_ONCE = 8
+ROWS_AT_ONCE = 8
 """Rows whose chunks are fetched together."""
 
 _LABELS = "labels"
@@ -43,43 +43,26 @@ def parts_of(bucket: Bucket, n: int) -> list[Part]:
     return [Part(bucket, bucket.row + i, min(ROW_POINTS, n - start)) for i, start in enumerate(starts)]
 
 
-class PointColumns:
-    """The columns of one store.
+class ColumnStore(StorePart):
+    """The columns of the points of a store."""
 
-    Parameters
-    ----------
-    storage : Storage
-    has_rgb : bool
-        Whether the points have colours.
-    """
+    @property
+    def _columns(self) -> tuple[Column, ...]:
+        return layout.columns(self.meta.has_rgb)
 
-    def __init__(self, storage: Storage, has_rgb: bool) -> None:
-        self._storage = storage
-        self._columns = layout.columns(has_rgb)
+    def _column(self, column: Column) -> StoredArray:
+        return self._opened(layout.points_path(column.name), column.kind)
 
-    @cached_property
-    def _arrays(self) -> dict[str, rows.RowArray]:
-        return {c.name: self._open(c) for c in self._columns}
-
-    def _open(self, column: Column) -> rows.RowArray:
-        return rows.open_rows(self._storage, layout.points_path(column.name), column.kind)
-
-    def grow(self, n_rows: int) -> None:
+    def _grow(self, n_rows: int) -> None:
         """Make the columns, or lengthen them, to ``n_rows`` rows: for the coordinator alone."""
         for column in self._columns:
-            rows.lengthen_rows(self._storage, layout.points_path(column.name), column.kind, n_rows)
-        self.__dict__.pop("_arrays", None)
+            arrays.lengthen_rows(self._storage, layout.points_path(column.name), column.kind, n_rows)
+        self._open.clear()
 
-    def delete_rows(self, bucket: Bucket) -> None:
-        """Remove the chunks of a bucket that moved away."""
-        for column in self._columns:
-            delete_rows(self._storage, layout.points_path(column.name), bucket)
-
-    def write(self, bucket: Bucket, block: PointBlock) -> None:
+    def _write_points(self, bucket: Bucket, block: PointBlock) -> None:
         """Write all points of a bucket, whole chunks only; StoreError where a column is missing."""
         for column in self._columns:
-            values = self._joined(column, block, bucket)
-            write_rows(self._arrays[column.name], bucket, values)
+            write_rows(self._column(column), bucket, self._joined(column, block, bucket))
 
     def _joined(self, column: Column, block: PointBlock, bucket: Bucket) -> npt.NDArray[Any]:
         values = np.empty((column.width, len(block)), dtype=column.kind.dtype)
@@ -92,12 +75,12 @@ class PointColumns:
             values[part] = source
         return values
 
-    def read(
+    def _read_points(
         self,
         parts: Sequence[Part],
         fields: Sequence[str],
         keep: Keep | None = None,
-        labels: rows.RowArray | None = None,
+        labels: StoredArray | None = None,
         kept: list[int] | None = None,
     ) -> PointBlock:
         """The points of ``parts`` in order, those of each part masked by ``keep``.
@@ -109,18 +92,18 @@ class PointColumns:
             Fields of `PointBlock`; xyz always comes along, rgb stays None where the store has none.
         keep : callable, optional
             Given a part and its xyz: the mask of the points to keep, None for all.
-        labels : RowArray, optional
+        labels : StoredArray, optional
             Labels of a pass, to come along.
         kept : list of int, optional
             Receives how many points of each part there are.
         """
         columns = self._needed(fields)
-        arrays = {c.name: self._arrays[c.name] for c in columns}
+        opened = {c.name: self._column(c) for c in columns}
         if labels is not None:
-            arrays[_LABELS] = labels
-        gathered: Gathered = {name: [] for name in arrays}
-        for start in range(0, len(parts), _ROWS_AT_ONCE):
-            _gather(arrays, parts[start : start + _ROWS_AT_ONCE], keep, gathered)
+            opened[_LABELS] = labels
+        gathered: Gathered = {name: [] for name in opened}
+        for start in range(0, len(parts), ROWS_AT_ONCE):
+            _gather(opened, parts[start : start + ROWS_AT_ONCE], keep, gathered)
         if kept is not None:
             kept.extend(piece.shape[1] for piece in gathered["xyz"])
         found: dict[str, npt.NDArray[Any]] = {}
@@ -129,12 +112,9 @@ class PointColumns:
             for field, part in column.fields.items():
                 if field in fields or field == "xyz":
                     found[field] = values[part.start] if part.stop - part.start == 1 else values[part]
-        block = PointBlock(**found)
-        return (
-            block
-            if labels is None
-            else replace(block, labels=_side_by_side(gathered, _LABELS, layout.LABELS)[0])
-        )
+        if labels is not None:
+            found["labels"] = _side_by_side(gathered, _LABELS, layout.LABELS)[0]
+        return PointBlock(**found)
 
     def _needed(self, fields: Sequence[str]) -> list[Column]:
         known = {field for c in layout.COLUMNS for field in c.fields}
@@ -155,15 +135,15 @@ def _side_by_side(gathered: Gathered, name: str, kind: layout.ArrayKind) -> npt.
 
 
 def _gather(
-    arrays: Mapping[str, rows.RowArray],
+    opened: Mapping[str, StoredArray],
     parts: Sequence[Part],
     keep: Keep | None,
     gathered: Gathered,
 ) -> None:
     """Add what is kept of some parts, column by column, xyz first; a part without any is read no further."""
     masks: list[Mask] = [None] * len(parts)
-    for name, array in arrays.items():
-        chunks = array.read([part.row for part in parts])
+    for name, array in opened.items():
+        chunks = array.read_rows([part.row for part in parts])
         values = [chunk[0, :, : part.n] for chunk, part in zip(chunks, parts, strict=True)]
         if name == "xyz" and keep is not None:
             masks = [keep(PointBlock(xyz), part) for xyz, part in zip(values, parts, strict=True)]
@@ -194,22 +174,16 @@ def inside(bounds: Bounds, origin: tuple[int, int], cell_bounds: Callable[[Bucke
     return keep
 
 
-def delete_rows(storage: Storage, path: str, bucket: Bucket) -> None:
-    """Remove the chunks of a bucket's rows."""
-    for row in range(bucket.row, bucket.row + bucket.rows):
-        storage.delete(f"{path}/c/{row}/0/0")
-
-
-def write_rows(array: rows.RowArray, bucket: Bucket, values: npt.NDArray[Any]) -> None:
+def write_rows(array: StoredArray, bucket: Bucket, values: npt.NDArray[Any]) -> None:
     """Write ``values`` (width, n) to the rows of a bucket, the last one padded."""
     for part in parts_of(bucket, values.shape[1]):
         start = (part.row - bucket.row) * ROW_POINTS
         row = np.zeros((1, values.shape[0], ROW_POINTS), dtype=values.dtype)
         row[0, :, : part.n] = values[:, start : start + part.n]
-        array.write(part.row, row)
+        array.write_row(part.row, row)
 
 
-def read_rows(array: rows.RowArray, parts: Sequence[Part]) -> npt.NDArray[Any]:
+def read_rows(array: StoredArray, parts: Sequence[Part]) -> npt.NDArray[Any]:
     """The values (width, n) of ``parts``, side by side."""
-    chunks = array.read([part.row for part in parts])
+    chunks = array.read_rows([part.row for part in parts])
     return np.concatenate([chunk[0, :, : part.n] for chunk, part in zip(chunks, parts, strict=True)], axis=1)

@@ -7,72 +7,86 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.nodata import NODATA
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.errors import StoreError
 from tiler.store import arrays, layout
-from tiler.store.storage import Storage
+from tiler.store.part import StorePart
 
 
-def create_raster(storage: Storage, name: str, height: int, width: int, fill: float) -> None:
-    """Make a raster, or keep the one that is there if it has this shape and fill: for the coordinator."""
-    path, kind = layout.raster_path(name), layout.raster_kind(fill)
-    found = arrays.find_array(storage, path, kind)
-    if found is not None and found.shape == (height, width) and found.fill_value == np.float32(fill):
-        return
-    storage.delete_folder(path)
-    arrays.create_array(storage, path, (height, width), kind)
+class RasterStore(StorePart):
+    """The rasters of a store."""
 
+    def create_raster(self, name: str, height: int, width: int, fill: float = NODATA) -> None:
+        """Make a float32 raster; one of the same shape and fill keeps its blocks (*coordinator*)."""
+        path, kind = layout.raster_path(name), layout.raster_kind(fill)
+        found = arrays.find_array(self._storage, path, kind)
+        if found is None or found.shape != (height, width) or found.fill != np.float32(fill):
+            self._storage.delete_folder(path)
+            found = arrays.write_metadata(self._storage, path, (height, width), kind)
+        self._open[path] = found
 
-def open_raster(storage: Storage, name: str) -> arrays.ZarrArray:
-    """The raster's array; StoreError where there is none."""
-    return arrays.open_array(storage, layout.raster_path(name), layout.raster_kind(0.0))
+    def write_block(self, name: str, block: Block, values: npt.NDArray[np.float32]) -> None:
+        """Write a whole block of 512 x 512 pixels (less at the south and east edge): one chunk.
 
+        Raises
+        ------
+        StoreError
+            The block is not a chunk of the raster, or ``values`` have another shape.
+        """
+        array = self._raster(name)
+        height, width = array.shape
+        whole = (min(BLOCK_PIXELS, height - block.row), min(BLOCK_PIXELS, width - block.col))
+        aligned = block.row % BLOCK_PIXELS == 0 and block.col % BLOCK_PIXELS == 0
+        if not aligned or (block.height, block.width) != whole or values.shape != whole:
+            raise StoreError(
+                f"{array.path}: block {block.name} is no chunk; blocks are {BLOCK_PIXELS} pixels wide"
+            )
+        chunk = np.full(array.kind.chunks, array.fill, np.float32)
+        chunk[: block.height, : block.width] = values
+        array.write((block.row // BLOCK_PIXELS, block.col // BLOCK_PIXELS), chunk)
 
-def write_block(
-    storage: Storage, array: arrays.ZarrArray, block: Block, values: npt.NDArray[np.float32]
-) -> None:
-    """Write a whole block: one chunk, or what the raster's edge leaves of it.
+    def read_block(self, name: str, block: Block) -> npt.NDArray[np.float32]:
+        """Any window of a raster, float32 (height, width), the fill where nothing was written.
 
-    Raises
-    ------
-    StoreError
-        The block is not a chunk of the raster, or ``values`` have another shape.
-    """
-    height, width = array.shape
-    whole = (min(BLOCK_PIXELS, height - block.row), min(BLOCK_PIXELS, width - block.col))
-    aligned = block.row % BLOCK_PIXELS == 0 and block.col % BLOCK_PIXELS == 0
-    if not aligned or (block.height, block.width) != whole or values.shape != whole:
-        raise StoreError(
-            f"{array.path}: block {block.name} is no chunk; blocks are {BLOCK_PIXELS} pixels wide"
-        )
-    arrays.write(storage, array, _window(block), values.astype(np.float32, copy=False))
+        Raises
+        ------
+        StoreError
+            The window reaches beyond the raster.
+        """
+        array = self._raster(name)
+        height, width = array.shape
+        bottom, right = block.row + block.height, block.col + block.width
+        if block.row < 0 or block.col < 0 or bottom > height or right > width:
+            raise StoreError(f"{array.path}: block {block.name} reaches beyond {height} x {width} pixels")
+        corners = [
+            (row, col)
+            for row in range(block.row // BLOCK_PIXELS * BLOCK_PIXELS, bottom, BLOCK_PIXELS)
+            for col in range(block.col // BLOCK_PIXELS * BLOCK_PIXELS, right, BLOCK_PIXELS)
+        ]
+        chunks = array.read([(row // BLOCK_PIXELS, col // BLOCK_PIXELS) for row, col in corners])
+        found = np.empty((block.height, block.width), np.float32)
+        for (row, col), chunk in zip(corners, chunks, strict=True):
+            top, left = max(block.row, row), max(block.col, col)
+            part = chunk[top - row : bottom - row, left - col : right - col]
+            found[top - block.row :, left - block.col :][: part.shape[0], : part.shape[1]] = part
+        return found
 
+    def stored_blocks(self, name: str) -> set[tuple[int, int]]:
+        """First row and column of each block that a chunk is stored for; others hold the fill, or are lost."""
+        folder = f"{layout.raster_path(name)}/c"
+        return {
+            (int(row) * BLOCK_PIXELS, int(col) * BLOCK_PIXELS)
+            for row in self._storage.names(folder)
+            for col in self._storage.names(f"{folder}/{row}")
+            if row.isdigit() and col.isdigit()
+        }
 
-def read_block(storage: Storage, array: arrays.ZarrArray, block: Block) -> npt.NDArray[np.float32]:
-    """Any window of the raster, float32 (height, width); StoreError where it reaches beyond."""
-    height, width = array.shape
-    if block.row < 0 or block.col < 0 or block.row + block.height > height or block.col + block.width > width:
-        raise StoreError(f"{array.path}: block {block.name} reaches beyond {height} x {width} pixels")
-    return arrays.read(storage, array, _window(block))
+    def erase_blocks(self, name: str, blocks: Iterable[Block]) -> None:
+        """Remove what is stored of some blocks, which then hold the raster's fill."""
+        for block in blocks:
+            chunk = f"c/{block.row // BLOCK_PIXELS}/{block.col // BLOCK_PIXELS}"
+            self._storage.delete(f"{layout.raster_path(name)}/{chunk}")
 
-
-def stored_blocks(storage: Storage, name: str) -> set[tuple[int, int]]:
-    """Row and column of the north-west pixel of each block that a chunk is stored for; the others hold the fill."""
-    folder = f"{layout.raster_path(name)}/c"
-    return {
-        (int(row) * BLOCK_PIXELS, int(col) * BLOCK_PIXELS)
-        for row in storage.names(folder)
-        for col in storage.names(f"{folder}/{row}")
-        if row.isdigit() and col.isdigit()
-    }
-
-
-def erase_blocks(storage: Storage, name: str, blocks: Iterable[Block]) -> None:
-    """Remove the chunks of some blocks, which then hold the fill."""
-    for block in blocks:
-        chunk = f"c/{block.row // BLOCK_PIXELS}/{block.col // BLOCK_PIXELS}"
-        storage.delete(f"{layout.raster_path(name)}/{chunk}")
-
-
-def _window(block: Block) -> tuple[slice, slice]:
-    return slice(block.row, block.row + block.height), slice(block.col, block.col + block.width)
+    def _raster(self, name: str) -> arrays.StoredArray:
+        return self._opened(layout.raster_path(name), layout.raster_kind(0.0))

@@ -1,0 +1,156 @@
+"""Buckets: each point of the run once, in the rows of its bucket; a window of them is the halo view."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.points import PointBlock
+from tiler.errors import StoreError
+from tiler.store import arrays, index, layout, points
+from tiler.store.index import Bucket, BucketIndex, BucketInfo
+from tiler.store.meta import StoreMeta
+from tiler.store.storage import Storage
+
+
+class BucketStore(points.ColumnStore):
+    """The points, their index, and what passes say of them."""
+
+    def __init__(self, storage: Storage, meta: StoreMeta) -> None:
+        super().__init__(storage, meta)
+        self._index: BucketIndex | None = None
+
+    def allocate(self, counts: Mapping[Cell, int]) -> None:
+        """Give rows to buckets (*coordinator*, while no task runs).
+
+        Parameters
+        ----------
+        counts : mapping of Cell to int
+            Upper bound of the points of each bucket. A bucket whose rows suffice keeps them and its points; one
+            that outgrew them loses its points and has to be written again. Others stay as they are.
+        """
+        before = index.current_index(self._storage)
+        after, moved = before.allocated(counts, layout.ROW_POINTS)
+        self._grow(after.rows)
+        for folder, kind in (("labels", layout.LABELS), ("elected", layout.ELECTED)):
+            for name in self._storage.names(folder):
+                if name != "zarr.json":
+                    arrays.lengthen_rows(self._storage, f"{folder}/{name}", kind, after.rows)
+                    self._delete_rows(f"{folder}/{name}", moved)
+        after.publish(self._storage)
+        for column in self._columns:
+            self._delete_rows(layout.points_path(column.name), moved)
+        self._index = after
+
+    def _delete_rows(self, path: str, buckets: Sequence[Bucket]) -> None:
+        """Remove the chunks of the rows of buckets that moved away."""
+        for bucket in buckets:
+            for row in range(bucket.row, bucket.row + bucket.rows):
+                self._storage.delete(f"{path}/c/{row}/0/0")
+
+    def write_bucket(self, cell: Cell, block: PointBlock, n_candidates: int) -> BucketInfo:
+        """Write all points of a bucket, the candidates first; the record of it goes to `publish_index`.
+
+        Raises
+        ------
+        StoreError
+            The bucket was not allocated or has no room for the points, or a point lies outside it.
+        """
+        bucket = self._bucket(cell)
+        if len(block) > bucket.rows * layout.ROW_POINTS or not 0 <= n_candidates <= len(block):
+            raise StoreError(
+                f"bucket {cell.name}: {len(block)} points, {n_candidates} of them candidates, "
+                f"do not fit {bucket.rows} rows; allocate first"
+            )
+        if len(block) and not block.inside(self.meta.bucket.bounds(cell), self.meta.frame.origin).all():
+            raise StoreError(f"bucket {cell.name}: a point lies outside the bucket")
+        self._write_points(bucket, block)
+        return BucketInfo(len(block), n_candidates)
+
+    def publish_index(self, infos: Mapping[Cell, BucketInfo]) -> None:
+        """Make exactly these buckets readable (*coordinator*, once all of them are written)."""
+        published = index.current_index(self._storage).with_infos(infos, layout.ROW_POINTS)
+        published.publish(self._storage)
+        self._index = published
+
+    def read_bucket(
+        self, cell: Cell, columns: Sequence[str] = ("xyz",), candidates_only: bool = False
+    ) -> PointBlock:
+        """The points of a bucket in stored order; StoreError where it is not published or damaged."""
+        bucket = self._bucket(cell)
+        return self._read_points(points.parts_of(bucket, count_of(bucket, candidates_only)), columns)
+
+    def buckets(self) -> dict[Cell, BucketInfo]:
+        """The published buckets, row by row from the south-west."""
+        self.refresh()
+        return {b.cell: b.info for b in self._current().published() if b.info is not None}
+
+    def buckets_within(self, bounds: Bounds) -> dict[Cell, BucketInfo]:
+        """Those of the published `buckets` that hold a count of ``bounds``; costs no more however many others are."""
+        self.refresh()
+        return {b.cell: b.info for b in self._overlapping(bounds) if b.info is not None}
+
+    def window(
+        self,
+        bounds: Bounds,
+        columns: Sequence[str] = ("xyz",),
+        candidates_only: bool = False,
+        labels: str | None = None,
+        places: dict[Cell, slice] | None = None,
+    ) -> PointBlock:
+        """All points of ``bounds``, each once, with the labels of that name if one is given: the halo view.
+
+        Buckets come row by row from the south-west, their points in stored order, whatever the bounds. Reads
+        the buckets that overlap and no others; needs the memory of the result, of one of its columns once
+        more, and of eight rows. ``places`` receives where in the result the points of each bucket are.
+        """
+        parts = [
+            part
+            for bucket in self._overlapping(bounds)
+            for part in points.parts_of(bucket, count_of(bucket, candidates_only))
+        ]
+        keep = points.inside(bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell))
+        kept: list[int] = []
+        given = None if labels is None else self._label_array(labels)
+        block = self._read_points(parts, columns, keep, given, kept)
+        if places is not None:
+            end = 0
+            for part, n in zip(parts, kept, strict=True):
+                before = places.get(part.bucket.cell, slice(end, end))
+                end += n
+                places[part.bucket.cell] = slice(before.start, end)
+        return block
+
+    def _label_array(self, name: str) -> arrays.StoredArray:
+        return self._opened(layout.labels_path(name), layout.LABELS)
+
+    def _overlapping(self, bounds: Bounds) -> list[Bucket]:
+        """The published buckets that hold a count of ``bounds``, row by row from the south-west."""
+        return self._current().overlapping(self.meta.bucket, bounds)
+
+    def owner_of(self, row: int) -> Cell | None:
+        """The cell of the bucket that owns a row of the columns; None where it is nobody's."""
+        self.refresh()
+        return self._current().owner(row)
+
+    def refresh(self) -> None:
+        """Look for an index that another process published since this object first read it."""
+        self._index = index.current_index(self._storage)
+
+    def _current(self) -> BucketIndex:
+        if self._index is None:
+            self._index = index.current_index(self._storage)
+        return self._index
+
+    def _bucket(self, cell: Cell) -> Bucket:
+        bucket = self._current().find(cell)
+        if bucket is None:
+            raise StoreError(f"bucket {cell.name}: not in {self.url}; allocate first")
+        return bucket
+
+
+def count_of(bucket: Bucket, candidates_only: bool = False) -> int:
+    """Points of a bucket, or its candidates; StoreError where it is not published."""
+    if bucket.info is None:
+        raise StoreError(f"bucket {bucket.cell.name}: not published yet; run ingest first")
+    return bucket.info.n_candidates if candidates_only else bucket.info.n

@@ -1,0 +1,99 @@
+"""What passes say: a label for each point of a bucket, and points that they elect, in the first places of its rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.points import PointBlock
+from tiler.errors import StoreError
+from tiler.store import layout, points
+from tiler.store.arrays import StoredArray, made_rows
+from tiler.store.buckets import BucketStore, count_of
+from tiler.store.index import Bucket
+from tiler.store.layout import NOWHERE, ROW_POINTS, ArrayKind
+
+
+class LabelStore(BucketStore):
+    """Labels and elected points by bucket, under the name of the pass that gives them."""
+
+    def write_labels(
+        self, name: str, cell: Cell, labels: npt.NDArray[np.uint8], candidates_only: bool = False
+    ) -> None:
+        """Write the labels of a bucket, uint8 (n,) in its stored order; StoreError where n differs."""
+        bucket = self._bucket(cell)
+        n = count_of(bucket, candidates_only)
+        if labels.shape != (n,) or labels.dtype != np.uint8:
+            raise StoreError(
+                f"labels {name} of bucket {cell.name}: need {n} uint8, got {labels.shape} {labels.dtype}"
+            )
+        points.write_rows(self._made(layout.labels_path(name), layout.LABELS), bucket, labels[np.newaxis])
+
+    def read_labels(self, name: str, cell: Cell, candidates_only: bool = False) -> npt.NDArray[np.uint8]:
+        """The labels of a bucket, uint8 (n,); StoreError where they were not written."""
+        bucket = self._bucket(cell)
+        parts = points.parts_of(bucket, count_of(bucket, candidates_only))
+        if not parts:
+            return np.empty(0, dtype=np.uint8)
+        labels: npt.NDArray[np.uint8] = points.read_rows(self._label_array(name), parts)[0]
+        return labels
+
+    def write_elected(self, name: str, cell: Cell, xyz: npt.NDArray[np.int32]) -> None:
+        """Write the points that a pass elected in a bucket, int32 (3, m); StoreError where one lies outside it."""
+        if xyz.dtype != np.int32 or xyz.ndim != 2 or xyz.shape[0] != 3:
+            raise StoreError(
+                f"elected points of bucket {cell.name}: need int32 (3, m), got {xyz.dtype} {xyz.shape}"
+            )
+        if not PointBlock(xyz).inside(self.meta.bucket.bounds(cell), self.meta.frame.origin).all():
+            raise StoreError(f"bucket {cell.name}: an elected point lies outside the bucket")
+        self._write_first(layout.elected_path(name), layout.ELECTED, cell, xyz)
+
+    def write_elected_labels(self, name: str, cell: Cell, labels: npt.NDArray[np.uint8]) -> None:
+        """Write the labels of the elected points of a bucket, uint8 (m,) in their stored order."""
+        self._write_first(layout.labels_path(name), layout.LABELS, cell, labels[np.newaxis])
+
+    def elected(self, name: str, bounds: Bounds, labels: str | None = None) -> PointBlock:
+        """The points of ``bounds`` that a pass elected, with their labels of that name if one is given.
+
+        Buckets come row by row from the south-west; those of a bucket in stored order.
+        """
+        array = self._opened(layout.elected_path(name), layout.ELECTED)
+        given = None if labels is None else self._label_array(labels)
+        parts = [part for bucket in self._overlapping(bounds) for part in _places(bucket)]
+        held: list[npt.NDArray[np.int32]] = [np.empty((3, 0), np.int32)]
+        labelled: list[npt.NDArray[np.uint8]] = [np.empty(0, np.uint8)]
+        for start in range(0, len(parts), points.ROWS_AT_ONCE):
+            batch = parts[start : start + points.ROWS_AT_ONCE]
+            xyz = points.read_rows(array, batch)
+            keep = (xyz[0] != NOWHERE) & PointBlock(xyz).inside(bounds, self.meta.frame.origin)
+            held.append(xyz[:, keep])
+            if given is not None:
+                labelled.append(points.read_rows(given, batch)[0, keep])
+        return PointBlock(
+            np.concatenate(held, axis=1), labels=None if given is None else np.concatenate(labelled)
+        )
+
+    def _write_first(self, path: str, kind: ArrayKind, cell: Cell, values: npt.NDArray[np.generic]) -> None:
+        """Write values (width, m) of elected points; StoreError where the bucket's rows have no room for them."""
+        bucket, m = self._bucket(cell), values.shape[1]
+        room = len(_places(bucket)) * ROW_POINTS
+        if m > room:
+            raise StoreError(
+                f"bucket {cell.name}: {m} elected points do not fit the rows of {count_of(bucket)} points; "
+                "elect no more than there are"
+            )
+        full = np.full((values.shape[0], room), kind.fill, values.dtype)
+        full[:, :m] = values
+        points.write_rows(self._made(path, kind), bucket, full)
+
+    def _made(self, path: str, kind: ArrayKind) -> StoredArray:
+        """An array that the first task which writes to it makes."""
+        if path not in self._open:
+            self._open[path] = made_rows(self._storage, path, kind, self._current().rows)
+        return self._open[path]
+
+
+def _places(bucket: Bucket) -> list[points.Part]:
+    """The rows that a bucket has for elected points: whole, as only they say how many there are."""
+    return [points.Part(bucket, part.row, ROW_POINTS) for part in points.parts_of(bucket, count_of(bucket))]
