@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tiler.apps import check as checks
+from tiler.apps.check import PointOptions, measure, parse_requirements
 from tiler.apps.classify import classify_file
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
@@ -24,7 +24,6 @@ from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.pipeline import run as run_job
 from tiler.report.notebook import check_markup, classified_markup
 from tiler.runs.job import RunResult
-from tiler.schedule import half_of_memory, read_apart
 from tiler.store import TileStore
 from tiler.store import open_store as open_store_at
 
@@ -255,38 +254,19 @@ def check(
     >>> result.met, result.summary["accuracy"]["nva"]["points"]
     (True, 3)
     """
-    dtm, clouds = cloud_path(dtm), _texts(strips)
-    points, figures = (None if path is None else Path(path) for path in (points, figures))
-    requirements = checks.parse_requirements(_texts(require))
-    if figures is not None:
-        if points is None:
-            raise ConfigError("--figures draws checkpoints; name them with --points")
-        checks.refuse_figures(figures, dtm, points, clouds)
-    unit = None if points_unit is None else unit_named(points_unit)
-    options = checks.PointOptions(points_crs, unit, float(parse_length(points_rmse)))
-    size = None if tile_size is None else parse_length(tile_size)
-    read = [path for path in (dtm, points) if path is not None]
-    report: dict[str, Any] = {"dtm": str(dtm)}
-    report |= read_apart(
-        checks.measure, dtm, points, options, size, paths=read, memory_bytes=half_of_memory()
+    report = measure(
+        cloud_path(dtm),
+        None if points is None else Path(points),
+        PointOptions(
+            points_crs,
+            None if points_unit is None else unit_named(points_unit),
+            float(parse_length(points_rmse)),
+        ),
+        None if tile_size is None else parse_length(tile_size),
+        _texts(strips),
+        parse_requirements(_texts(require)),
+        None if figures is None else Path(figures),
     )
-    if clouds:
-        report["strips"] = checks.strip_differences(clouds)
-    if len(report) == 1:
-        raise ConfigError(
-            f"{dtm}: nothing to check; name --points, --tile-size (there is no run.json beside it) or --strips"
-        )
-    report["requirements"] = checks.judge(requirements, report)
-    report["figures"] = []
-    if figures is not None:
-        report["figures"] = read_apart(
-            checks.write_figures,
-            figures,
-            dtm,
-            report["accuracy"],
-            paths=(dtm,),
-            memory_bytes=half_of_memory(),
-        )
     met = all(requirement["met"] for requirement in report["requirements"])
     return CheckResult(0 if met else 5, report)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import click
@@ -56,7 +57,7 @@ def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
     with shown_progress() as listener:
         result = run_demo(out, seed, config, listener)
     if as_json:
-        print_json(result.to_json())
+        print_json(asdict(result))
     elif not session.quiet:
         for line in (*summary_lines(result.summary, out), *score_lines(result.classes, result.dtm)):
             say(line)

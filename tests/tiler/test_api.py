@@ -58,7 +58,9 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """No processes beside this one: they take seconds to start."""
     read = tiler.api._settings
     monkeypatch.setattr("tiler.api._settings", lambda config: read(config).updated(in_process=True))
-    monkeypatch.setattr("tiler.api.read_apart", lambda function, *arguments, **limits: function(*arguments))
+    monkeypatch.setattr(
+        "tiler.apps.check.measuring.read_apart", lambda function, *arguments, **limits: function(*arguments)
+    )
 
 
 def test_everything_offered_has_an_example() -> None:

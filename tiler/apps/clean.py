@@ -44,7 +44,9 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
     place = str(out) if is_url(out) else str(Path(out).resolve())
     if not (is_url(out) or Path(out).is_dir()):
         raise ConfigError(f"{out}: no such folder; name the OUT of a run")
-    store = open_store(store_url or _store_of(place))
+    configured = (read_run(place) or {}).get("configuration")
+    named = configured.get("store") if isinstance(configured, dict) else None
+    store = open_store(str(store_url or named or joined(place, STORE)))
     with locked_folder(place), store.lock():
         before = store.usage()
         store.tidy()
@@ -69,10 +71,3 @@ def _scratch(out: Path) -> Iterator[Path]:
     for folder in sorted(folders):
         if folder.is_dir() and folder.resolve().is_relative_to(out.resolve()):
             yield from sorted(path for path in folder.iterdir() if is_scratch(path.name) and path.is_file())
-
-
-def _store_of(place: str) -> str:
-    """The store that the run of a folder used."""
-    configuration = (read_run(place) or {}).get("configuration")
-    named = configuration.get("store") if isinstance(configuration, dict) else None
-    return str(named or joined(place, STORE))

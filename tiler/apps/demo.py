@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from tiler.observe.events import Listener
 from tiler.pipeline import run
 from tiler.report.accuracy import write_measured
 from tiler.report.html import write_report
-from tiler.simulate import DemoScene, demo_city, demo_files
+from tiler.simulate import demo_city, demo_files
 
 RESOLUTION_M = Fraction(1)
 """Pixel of the true terrain, with which the DTM is compared pixel by pixel."""
@@ -45,10 +45,6 @@ class DemoResult:
     dtm: dict[str, Any]
     exit_code: int
 
-    def to_json(self) -> dict[str, Any]:
-        """The result as JSON-able values."""
-        return asdict(self)
-
 
 def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) -> DemoResult:
     """Simulate a city into OUT/input, run the whole job into OUT, score its classes and its DTM.
@@ -74,7 +70,11 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
     scene = demo_city(out / "input", seed)
     config = config.updated(resolution=RESOLUTION_M)
     result = run([str(path) for path in scene.paths], str(out), config, listener)
-    classes, dtm = _score_classes(out, scene), evaluate_dtm(out / "dtm.tif", scene.dtm_path)
+    labelled = [
+        Scene(path.stem, out / CLASSIFIED / path.name, truth)
+        for path, truth in zip(scene.paths, scene.truth_paths, strict=True)
+    ]
+    classes, dtm = evaluate_scenes(labelled), evaluate_dtm(out / "dtm.tif", scene.dtm_path)
     write_measured(out, EVALUATION, {**classes, "dtm": dtm})
     write_report(out)
     return DemoResult(result.summary, classes, dtm, result.exit_code)
@@ -94,13 +94,3 @@ def _refuse_foreign_files(out: Path, config: RunConfig) -> None:
         mark.touch()
     except OSError as error:
         raise refused_write(str(mark), error, out) from error
-
-
-def _score_classes(out: Path, scene: DemoScene) -> dict[str, Any]:
-    """The errors over all clouds together, and of each."""
-    return evaluate_scenes(
-        [
-            Scene(path.stem, out / CLASSIFIED / path.name, truth)
-            for path, truth in zip(scene.paths, scene.truth_paths, strict=True)
-        ]
-    )

@@ -18,7 +18,6 @@ from tiler.io.result_folder import RUN, STORE, read_run
 if TYPE_CHECKING:
     from tiler.store import TileStore
 
-_STEP = 1_000_000
 _CLOUDS = (".las", ".laz")
 _POINTS_PER_CELL = 16
 _MOST_CELLS = 1024
@@ -88,14 +87,10 @@ def _describe_folder(folder: Path) -> dict[str, Any]:
         return describe_store(str(folder))
     if (folder / RUN).is_file():
         return describe_result(folder)
-    clouds = any(path.suffix.lower() in _CLOUDS for path in folder.iterdir())
+    if any(path.suffix.lower() in _CLOUDS for path in folder.iterdir()):
+        raise InputError(f"{folder}: holds clouds; name one of them, or see `tiler plan` for all")
     raise InputError(
-        f"{folder}: "
-        + (
-            "holds clouds; name one of them, or see `tiler plan` for all"
-            if clouds
-            else "neither a tile store nor a result folder; name a cloud, a raster, or OUT of a run"
-        )
+        f"{folder}: neither a tile store nor a result folder; name a cloud, a raster, or OUT of a run"
     )
 
 
@@ -127,9 +122,9 @@ def describe_cloud(path: Path) -> dict[str, Any]:
 def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) -> dict[str, Any]:
     """Density, classes, returns and flags, from all points; one piece is in memory at a time."""
     from tiler.core.classes import SYNTHETIC_FLAG, WITHHELD_FLAG
-    from tiler.io.las.columns import class_and_flags
+    from tiler.io.las.columns import class_and_flags, coordinate
     from tiler.io.las.headers import read_header
-    from tiler.io.las.reader import NEEDED, PointReader, rows_at_once
+    from tiler.io.las.reader import NEEDED, PointReader
 
     if bounds is None:
         return {}
@@ -141,17 +136,15 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
     last = int(longer / cell)
     counts = np.zeros((last + 1, last + 1), np.int64)
     with PointReader(header, NEEDED) as reader:
-        step = rows_at_once(header.record_length, _STEP)
-        for start in range(0, header.point_count, step):
-            records = reader.read(start, min(step, header.point_count - start))
+        for records in reader.pieces():
             codes, flags = class_and_flags(records, header.point_format)
             classes += np.bincount(codes, minlength=256)
             flagged += np.bincount(flags, minlength=256)
-            at = []
-            for i, low in ((1, y0), (0, x0)):
-                coordinate = records["XYZ"[i]] * header.scales[i] + header.offsets[i]
-                at.append(np.clip((coordinate - low) / cell, 0, last).astype(np.intp))
-            counts += np.bincount(at[0] * (last + 1) + at[1], minlength=counts.size).reshape(counts.shape)
+            column, row = (
+                np.clip((coordinate(records, header, axis) - low) / cell, 0, last).astype(np.intp)
+                for axis, low in enumerate((x0, y0))
+            )
+            counts += np.bincount(row * (last + 1) + column, minlength=counts.size).reshape(counts.shape)
     area = min(int(np.count_nonzero(counts)) * cell**2, extent) * metres**2
     bits = np.arange(256)
     return {

@@ -152,10 +152,8 @@ def _places(guard: Guard, sources: Sequence[SourceInfo], salvage: bool) -> list[
 
 
 def _hull(sources: Sequence[SourceInfo]) -> Box:
-    bounds = [s.bounds for s in sources if s.bounds is not None]
-    low, high = (min(b[i] for b in bounds) for i in (0, 1)), (max(b[i] for b in bounds) for i in (3, 4))
-    x0, y0 = low
-    x1, y1 = high
+    bounds = np.array([s.bounds for s in sources])
+    (x0, y0, _), (x1, y1, _) = bounds[:, :3].min(axis=0).tolist(), bounds[:, 3:].max(axis=0).tolist()
     return x0, y0, x1, y1
 
 

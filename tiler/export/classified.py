@@ -181,7 +181,7 @@ def _reader(
     if work.pieces and not work.ranges:
         dtype = record_dtype(header.point_format, header.record_length)
         kept = store.records(work.pieces, header.point_count, dtype)
-    return PointReader(header, EVERYTHING, ranges=work.ranges) if kept is None else nullcontext(kept)
+    return PointReader(header, EVERYTHING, ranges=work.ranges or None) if kept is None else nullcontext(kept)
 
 
 def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:

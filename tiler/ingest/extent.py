@@ -83,7 +83,7 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
     if header.point_count == 0:
         return Extent(None, False)
     root = None if octree is None else octree.root(header, rows_at_once(header.record_length, _SCAN))
-    with PointReader(header, COORDINATES, _BLOCK_BYTES, [root] if root else ()) as reader:
+    with PointReader(header, COORDINATES, _BLOCK_BYTES, [root] if root else None) as reader:
         if root is not None:
             sample = [reader.read(*root)]
         else:
@@ -99,9 +99,7 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
         if credible and not claimed and _few_outside(header, sample, claim):
             claimed, near = True, _Hull(np.maximum(near.low, claim.low), np.minimum(near.high, claim.high))
         if not claimed:
-            step = rows_at_once(header.record_length, _SCAN)
-            blocks = range(0, header.point_count, step)
-            claim = _Hull.of(header, (reader.read(s, min(step, header.point_count - s)) for s in blocks))
+            claim = _Hull.of(header, reader.pieces(_SCAN))
             note = "its points lie outside the bounds that its header gives: read from the points"
     if not np.all(np.isfinite(claim.low)):
         raise InputError(

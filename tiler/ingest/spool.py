@@ -103,7 +103,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
         keeper = _keeper(store, work, header)
         selection = NEEDED if keeper is None else EVERYTHING
         ranges = work.ranges or ((work.start, work.count),)
-        with PointReader(header, selection, ranges=work.ranges) as reader:
+        with PointReader(header, selection, ranges=work.ranges or None) as reader:
             read = [
                 _read_step(store.meta, reader, keeper, work, first, min(STEP, start + count - first))
                 for start, count in ranges

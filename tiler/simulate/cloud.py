@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import laspy
@@ -50,9 +49,7 @@ class CloudWriter:
     def __enter__(self) -> CloudWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
     def write(self, points: Points, classes: UInt8s | None = None) -> None:

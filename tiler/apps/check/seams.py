@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ from scipy.ndimage import maximum_filter1d
 from tiler.apps.evaluate.heights import blocks_with_files, horizontal_unit, read_heights, vertical_unit
 from tiler.apps.evaluate.rasters import open_raster
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.core.units import unit_label
+from tiler.core.units import unit_label, unit_named
 from tiler.errors import ConfigError, InputError
 from tiler.io.json_text import read_object
 from tiler.io.locations import cloud_path
@@ -32,6 +32,9 @@ from tiler.io.result_folder import RUN
 
 BESIDE = (3, 20)
 """Lines of pixels from an edge that are beside it: the next two see half of its jump in their neighbours' slopes."""
+
+KINDS = ("interior", "tiles", "blocks", "beside_tiles", "beside_blocks")
+"""Of steps: within tiles, across edges of tiles and of the raster's own blocks, and beside these edges."""
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -64,65 +67,26 @@ class TileEdges:
         return sorted({edge for edge in edges if low < edge < high})
 
 
-class Pairs(NamedTuple):
-    """Steps and jumps (NaN: none) between neighbours, and which pairs lie on an edge, and beside one."""
-
-    steps: Floats
-    jumps: Floats
-    on_edge: dict[str, Bools]
-    beside: dict[str, Bools]
-
-
 @dataclass
 class Tally:
-    """Number, sum, largest of the steps and of the jumps."""
+    """Number, sum and largest of the values that are known."""
 
     n: int = 0
-    step_sum: float = 0.0
-    step_max: float = 0.0
-    jumps: int = 0
-    jump_sum: float = 0.0
-    jump_max: float = 0.0
+    total: float = 0.0
+    largest: float = 0.0
 
-    def add(self, steps: Floats, jumps: Floats) -> None:
-        """Count the steps that are known."""
-        steps, jumps = steps[np.isfinite(steps)], jumps[np.isfinite(jumps)]
-        self.n += steps.size
-        self.jumps += jumps.size
-        if steps.size:
-            self.step_sum += float(steps.sum())
-            self.step_max = max(self.step_max, float(steps.max()))
-        if jumps.size:
-            self.jump_sum += float(jumps.sum())
-            self.jump_max = max(self.jump_max, float(jumps.max()))
+    def add(self, values: Floats) -> None:
+        """Count the values that are not NaN."""
+        known = values[np.isfinite(values)]
+        if known.size:
+            self.n += known.size
+            self.total += float(known.sum())
+            self.largest = max(self.largest, float(known.max()))
 
-    def facts(self) -> dict[str, Any]:
-        """As plain values; None where nothing was counted."""
-        return {
-            "pairs": self.n,
-            "mean_step": self.step_sum / self.n if self.n else None,
-            "largest_step": self.step_max if self.n else None,
-            "mean_jump": self.jump_sum / self.jumps if self.jumps else None,
-            "largest_jump": self.jump_max if self.jumps else None,
-        }
-
-
-@dataclass
-class _Counts:
-    """Tallies by kind of edge, and of all pairs on none."""
-
-    interior: Tally = field(default_factory=Tally)
-    edges: dict[str, Tally] = field(default_factory=dict)
-    beside: dict[str, Tally] = field(default_factory=dict)
-
-    def add(self, pairs: Pairs) -> None:
-        inside = np.ones(pairs.steps.shape, np.bool_)
-        for name, on_edge in pairs.on_edge.items():
-            self.edges.setdefault(name, Tally()).add(pairs.steps[on_edge], pairs.jumps[on_edge])
-            inside &= ~on_edge
-        for name, near in pairs.beside.items():
-            self.beside.setdefault(name, Tally()).add(pairs.steps[near], pairs.jumps[near])
-        self.interior.add(pairs.steps[inside], pairs.jumps[inside])
+    def facts(self, name: str) -> dict[str, float | None]:
+        """Mean and largest; None where nothing was counted."""
+        mean, largest = (self.total / self.n, self.largest) if self.n else (None, None)
+        return {f"mean_{name}": mean, f"largest_{name}": largest}
 
 
 def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
@@ -155,25 +119,31 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
             raise ConfigError(f"{dtm}: is rotated; seams need rows and columns along the axes")
         if edges.tile < 4 * max(abs(raster.transform.a), abs(raster.transform.e)):
             raise ConfigError(f"--tile-size {edges.tile:g}: must be four pixels at least")
-        metres, counts = vertical_unit(raster), _Counts()
-        for pairs in _pairs(raster, edges):
-            counts.add(pairs)
-    for tallies in (counts.edges, counts.beside):  # of a VRT without files there is nothing to count
-        tallies.setdefault("tiles", Tally())
-    found = {name: tally.facts() for name, tally in counts.edges.items()}
-    found |= {f"beside_{name}": tally.facts() for name, tally in counts.beside.items()}
-    interior = counts.interior.facts()
+        metres = vertical_unit(raster)
+        tallies = {name: (Tally(), Tally()) for name in ("interior", "tiles", "beside_tiles")}
+        for steps, jumps, marks in _pairs(raster, edges):
+            for name, mark in marks.items():
+                of_steps, of_jumps = tallies.setdefault(name, (Tally(), Tally()))
+                of_steps.add(steps[mark])
+                of_jumps.add(jumps[mark])
+    found = {
+        name: {
+            "pairs": tallies[name][0].n,
+            **tallies[name][0].facts("step"),
+            **tallies[name][1].facts("jump"),
+        }
+        for name in KINDS
+        if name in tallies
+    }
     across, near = found["tiles"]["mean_jump"], found["beside_tiles"]["mean_jump"]
-    near = interior["mean_jump"] if near is None else near
-    excess = None if across is None or near is None else across - near
+    near = found["interior"]["mean_jump"] if near is None else near
     return {
         "unit": unit_label(metres),
         "metres_per_unit": float(metres),
         "tile": edges.tile,
         "bucket": edges.bucket,
-        "interior": interior,
         **found,
-        "excess": excess,
+        "excess": None if across is None or near is None else across - near,
     }
 
 
@@ -205,33 +175,28 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
     return seam_steps(dtm, TileEdges(float(tile_m / metres)))
 
 
-def _pairs(raster: Any, edges: TileEdges) -> Iterator[Pairs]:
-    """All pairs of neighbours, first along rows, then along columns, block by block."""
+def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Floats, Floats, dict[str, Bools]]]:
+    """Steps and jumps (NaN: none) of neighbours and which are of which kind: along rows, along columns, by block."""
     transform, (height, width) = raster.transform, raster.shape
     columns = _marks(transform.c, transform.a, width, edges)
     rows = _marks(transform.f, transform.e, height, edges)
     for row, col, high, wide in blocks_with_files(raster):
         along = read_heights(raster, row, col - 2, high, wide + 3)
-        yield _differences(along, {k: m[None, col : col + wide] for k, m in columns.items()})
+        yield _differences(along, {k: m[col : col + wide] for k, m in columns.items()})
         down = read_heights(raster, row - 2, col, high + 3, wide).T
-        yield _differences(down, {k: m[None, row : row + high] for k, m in rows.items()})
+        yield _differences(down, {k: m[row : row + high] for k, m in rows.items()})
 
 
-def _differences(heights: Floats, marks: dict[str, Bools]) -> Pairs:
+def _differences(heights: Floats, marks: dict[str, Bools]) -> tuple[Floats, Floats, dict[str, Bools]]:
     """Pairs between columns i + 1 and i + 2 of `heights`, which has three columns more than there are pairs."""
     a, b, c, d = heights[:, :-3], heights[:, 1:-2], heights[:, 2:-1], heights[:, 3:]
     steps = np.abs(c - b)
     jumps = np.abs((c - b) - ((b - a) + (d - c)) / 2)
-    every = {name: np.broadcast_to(mark, steps.shape) for name, mark in marks.items()}
-    beside: dict[str, Bools] = {}
-    for name in ("tiles", "blocks"):
-        if name in every:
-            beside[name] = every.pop(f"beside_{name}")
-    return Pairs(steps, jumps, every, beside)
+    return steps, jumps, {name: np.broadcast_to(mark, steps.shape) for name, mark in marks.items()}
 
 
 def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bools]:
-    """For each pixel along an axis, whether an edge lies between its centre and that of the one before, or near."""
+    """For each pixel along an axis and each of `KINDS`, whether the step from the one before is of that kind."""
     low, high = sorted((start, start + size * pixels))
     found = np.zeros(pixels + 1, np.bool_)
     for edge in edges.between(low, high):
@@ -244,7 +209,8 @@ def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str
         at = np.arange(pixels)
         marks["blocks"] = (at % BLOCK_PIXELS == 0) & (at > 0)
     close = np.any([_within(BESIDE[0] - 1, mark) for mark in marks.values()], axis=0)
-    return marks | {f"beside_{name}": _within(BESIDE[1], mark) & ~close for name, mark in marks.items()}
+    beside = {f"beside_{name}": _within(BESIDE[1], mark) & ~close for name, mark in marks.items()}
+    return {"interior": ~np.any(list(marks.values()), axis=0), **marks, **beside}
 
 
 def _within(lines: int, mark: Bools) -> Bools:
@@ -263,8 +229,6 @@ def edges_of_run(dtm: Path) -> TileEdges | None:
     path = dtm.parent / RUN
     if not path.is_file():
         return None
-    from tiler.core.units import unit_named
-
     try:
         plan = read_object(path.read_text("utf-8"))["plan"]
         metres = float(unit_named(plan["units"]["horizontal"]))

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from tiler.apps.cell_sums import summed
 from tiler.core.classes import GROUND, WITHHELD_FLAG
 from tiler.core.spread import spread
 from tiler.core.units import METRE, unit_label
 from tiler.errors import InputError
-from tiler.io.las.columns import class_and_flags
+from tiler.io.las.columns import class_and_flags, coordinate
 from tiler.io.las.headers import read_header
 from tiler.io.las.reader import EVERYTHING, PointReader
 from tiler.schedule import half_of_memory, read_apart
@@ -24,25 +25,8 @@ LEAST_POINTS = 3
 MOST_ROUGH_M = 0.1
 """Standard deviation of a strip's heights in a cell above which the cell is too rough or steep to be compared."""
 
-_STEP = 1_000_000
-
 Floats = npt.NDArray[np.float64]
 Int64s = npt.NDArray[np.int64]
-
-
-class Cells(NamedTuple):
-    """Sums per cell and strip.
-
-    Attributes
-    ----------
-    keys : int64 [3, n]
-        Strip, column, row; sorted by row, column, strip.
-    sums : float64 [3, n]
-        Points, sum of heights, sum of squared heights.
-    """
-
-    keys: Int64s
-    sums: Floats
 
 
 def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
@@ -79,17 +63,17 @@ def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:
     place = inspect(paths[0]).georeference
     horizontal = place.horizontal or METRE
     vertical = place.vertical or horizontal
-    cells = Cells(np.empty((3, 0), np.int64), np.empty((3, 0)))
+    keys, sums = np.empty((3, 0), np.int64), np.empty((3, 0))
     strips: dict[int, int] = {}
     for path in paths:
         for source, x, y, z in _ground(path):
             for strip, points in zip(*np.unique(source, return_counts=True), strict=True):
                 strips[int(strip)] = strips.get(int(strip), 0) + int(points)
             side = CELL_M / float(horizontal)
-            keys = np.stack(
-                (source, np.floor(x / side).astype(np.int64), np.floor(y / side).astype(np.int64))
-            )
-            cells = _merged(cells, Cells(keys, np.stack((np.ones(z.size), z, z**2))))
+            cells = (source, *(np.floor(place / side).astype(np.int64) for place in (x, y)))
+            keys = np.concatenate((keys, np.stack(cells)), axis=1)
+            sums = np.concatenate((sums, np.stack((np.ones(z.size), z, z**2))), axis=1)
+            keys, sums = summed(keys, sums)
     if not strips:
         raise InputError(
             f"{paths[0]}: no ground (class 2) in {len(paths)} files; name classified clouds, as `tiler run` writes them"
@@ -99,7 +83,7 @@ def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:
         "metres_per_unit": float(vertical),
         "cell_m": CELL_M,
         "strips": {str(strip): strips[strip] for strip in sorted(strips)},
-        **_compared(cells, MOST_ROUGH_M / float(vertical)),
+        **_compared(keys, sums, MOST_ROUGH_M / float(vertical)),
     }
 
 
@@ -107,32 +91,19 @@ def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
     """Source ids and coordinates of the ground points of a file, piece by piece."""
     header = read_header(path)
     with PointReader(header, EVERYTHING) as reader:
-        for start in range(0, header.point_count, _STEP):
-            records = reader.read(start, min(_STEP, header.point_count - start))
+        for records in reader.pieces():
             classes, flags = class_and_flags(records, header.point_format)
             records = records[(classes == GROUND) & ((flags & WITHHELD_FLAG) == 0)]
-            x, y, z = (
-                records[axis] * scale + offset
-                for axis, scale, offset in zip("XYZ", header.scales, header.offsets, strict=True)
-            )
+            x, y, z = (coordinate(records, header, axis) for axis in range(3))
             yield records["point_source_id"].astype(np.int64), x, y, z
 
 
-def _merged(one: Cells, other: Cells) -> Cells:
-    """Each cell of each strip once, with the sums of its figures."""
-    keys = np.concatenate((one.keys, other.keys), axis=1)
-    sums = np.concatenate((one.sums, other.sums), axis=1)
-    if keys.shape[1] == 0:
-        return one
-    order = np.lexsort(keys)
-    keys, sums = keys[:, order], sums[:, order]
-    first = np.flatnonzero(np.r_[True, np.any(keys[:, 1:] != keys[:, :-1], axis=0)])
-    return Cells(keys[:, first], np.add.reduceat(sums, first, axis=1))
+def _compared(keys: Int64s, sums: Floats, most_rough: float) -> dict[str, Any]:
+    """Differences of all pairs of strips in the cells that both have.
 
-
-def _compared(cells: Cells, most_rough: float) -> dict[str, Any]:
-    """Differences of all pairs of strips in the cells that both have."""
-    n, total, squares = cells.sums
+    ``keys`` are strip, column and row, sorted by row, column, strip; ``sums`` points, heights, squared heights.
+    """
+    n, total, squares = sums
     mean = total / n
     deviation = np.sqrt(np.maximum(squares / n - mean**2, 0.0))
     fit = (n >= LEAST_POINTS) & (deviation <= most_rough)
@@ -141,7 +112,7 @@ def _compared(cells: Cells, most_rough: float) -> dict[str, Any]:
     rough, step = 0, 1
     while True:
         # Strips of a cell follow one another, so those of a pair are `step` apart.
-        same = np.all(cells.keys[1:, step:] == cells.keys[1:, :-step], axis=0)
+        same = np.all(keys[1:, step:] == keys[1:, :-step], axis=0)
         if not same.any():
             break
         usable = same & fit[step:] & fit[:-step]
@@ -152,7 +123,7 @@ def _compared(cells: Cells, most_rough: float) -> dict[str, Any]:
     first = np.concatenate(firsts) if firsts else np.empty(0, np.int64)
     second = np.concatenate(seconds) if seconds else np.empty(0, np.int64)
     difference = mean[second] - mean[first]
-    of_first, of_second = cells.keys[0, first], cells.keys[0, second]
+    of_first, of_second = keys[0, first], keys[0, second]
     pairs = []
     for a, b in sorted(set(zip(of_first.tolist(), of_second.tolist(), strict=True))):
         own = difference[(of_first == a) & (of_second == b)]

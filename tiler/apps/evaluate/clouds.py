@@ -13,7 +13,7 @@ from tiler.apps.evaluate.labels import IGNORED, class_scores, class_table, count
 from tiler.apps.evaluate.maps import ErrorGrid
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.errors import InputError
-from tiler.io.las.columns import class_and_flags
+from tiler.io.las.columns import class_and_flags, coordinate
 from tiler.io.las.headers import read_header
 from tiler.io.las.reader import NEEDED, PointReader
 
@@ -133,12 +133,8 @@ def _read(path: Path) -> Iterator[Points]:
     with PointReader(header, NEEDED) as reader:
         for start in range(0, header.point_count, _STEP):
             records = reader.read(start, min(_STEP, header.point_count - start))
-            place = np.stack(
-                [
-                    np.round((records[axis] * scale + offset) * PER_UNIT).astype(np.int64)
-                    for axis, scale, offset in zip("XYZ", header.scales, header.offsets, strict=True)
-                ]
-            )
+            xyz = [coordinate(records, header, axis) for axis in range(3)]
+            place = np.round(np.stack(xyz) * PER_UNIT).astype(np.int64)
             classes, flags = class_and_flags(records, header.point_format)
             yield Points(place, classes, (flags & WITHHELD_FLAG) > 0)
 

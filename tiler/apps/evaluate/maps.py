@@ -16,6 +16,7 @@ from affine import Affine
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
+from tiler.apps.cell_sums import summed
 from tiler.core.classes import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
@@ -87,14 +88,14 @@ class ErrorGrid:
         lost = (truth[seen] == GROUND) & (labels[seen] != GROUND)
         taken = (truth[seen] != GROUND) & (labels[seen] == GROUND)
         counts = np.stack((np.ones(lost.size, np.int64), lost, taken)).astype(np.int64)
-        self.places, self.counts = _summed(
+        self.places, self.counts = summed(
             np.concatenate((self.places, cells), axis=1), np.concatenate((self.counts, counts), axis=1)
         )
 
     def coarser(self, factor: int) -> ErrorGrid:
         """The map in cells ``factor`` times as large."""
         grid = ErrorGrid(self.cell * factor, np.flatnonzero(self._left_out).tolist())
-        grid.places, grid.counts = _summed(self.places // factor, self.counts)
+        grid.places, grid.counts = summed(self.places // factor, self.counts)
         return grid
 
     @property
@@ -115,16 +116,6 @@ class ErrorGrid:
         for band, wrong in ((1, lost), (2, taken)):
             found[band][at] = np.ceil(100 * wrong / points).astype(np.uint8)
         return found
-
-
-def _summed(places: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
-    """Each place once, with the sums of its counts."""
-    if places.shape[1] == 0:
-        return places, counts
-    order = np.lexsort((places[0], places[1]))
-    places = places[:, order]
-    first = np.flatnonzero(np.r_[True, np.any(places[:, 1:] != places[:, :-1], axis=0)])
-    return places[:, first], np.add.reduceat(counts[:, order], first, axis=1)
 
 
 def refuse_foreign_maps(folder: Path, names: Sequence[str]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -171,23 +171,15 @@ def _compare(
     scene: Scene, ignore: Sequence[int], maps: MapRequest | None
 ) -> tuple[Findings, dict[str, Any], list[str]]:
     """What is found of a scene, how its points were paired, and the maps written."""
-    grid = None if maps is None else _grid(scene.reference, maps.cell_m, ignore)
+    from tiler.ingest import inspect
+
+    if maps is None:
+        return *compare_files(scene.cloud, scene.reference), []
+    place = inspect(scene.reference).georeference
+    grid = ErrorGrid(maps.cell_m / (place.horizontal or METRE), ignore)
     findings, how = compare_files(scene.cloud, scene.reference, grid)
-    written = [] if maps is None or grid is None else _write_map(grid, maps, scene)
     findings.grid = None  # it stays here
-    return findings, how, written
-
-
-def _grid(reference: Path, cell_m: Fraction, ignore: Sequence[int]) -> ErrorGrid:
-    from tiler.ingest import inspect
-
-    return ErrorGrid(cell_m / (inspect(reference).georeference.horizontal or METRE), ignore)
-
-
-def _write_map(grid: ErrorGrid, maps: MapRequest, scene: Scene) -> list[str]:
-    from tiler.ingest import inspect
-
-    return write_error_map(grid, maps.folder, scene.name, inspect(scene.reference).georeference.wkt)
+    return findings, how, write_error_map(grid, maps.folder, scene.name, place.wkt)
 
 
 def filter_and_evaluate(
@@ -229,19 +221,14 @@ def filter_and_evaluate(
         for number, scene in enumerate(find_scenes(clouds, clouds)):
             target = Path(scratch) / f"{number}.laz"
             made = classify_file(scene.reference, target, blind, listener)
-            _refuse_failed(scene, made["failed_tasks"])
+            if failed := made["failed_tasks"]:
+                raise ProcessingError(
+                    f"{scene.reference}: not scored, as {len(failed)} of its tasks failed ({failed[0]['title']} "
+                    f"{failed[0]['key']}: {failed[0]['error']}); its points there have their true classes"
+                )
             filtered.append(made)
             scenes.append(Scene(scene.name, target, scene.reference))
         facts = evaluate_scenes(scenes, ignore, maps)
     for result, made in zip(facts["scenes"], filtered, strict=True):
         result |= {"cloud": result["reference"], "seconds": made["seconds"]}
     return {**facts, "method": config.method, "parameters": filtered[0]["parameters"]}
-
-
-def _refuse_failed(scene: Scene, failed: Sequence[Mapping[str, Any]]) -> None:
-    """Raise ProcessingError where a tile failed: its points have their true classes still."""
-    if failed:
-        raise ProcessingError(
-            f"{scene.reference}: not scored, as {len(failed)} of its tasks failed ({failed[0]['title']} "
-            f"{failed[0]['key']}: {failed[0]['error']}); its points there have their true classes"
-        )

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.classes import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
+from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import Records
 
 OVERLAP_CLASS = 12
@@ -22,6 +23,12 @@ RGB_FORMATS = (2, 3, 5, 7, 8, 10)
 def is_legacy(point_format: int) -> bool:
     """Whether a point format is one of 0 to 5, which have five bits of class."""
     return point_format < 6
+
+
+def coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[np.float64]:
+    """Coordinates along an axis (0 x, 1 y, 2 z) in units of the CRS, float64 of shape (n,)."""
+    found: npt.NDArray[np.float64] = records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
+    return found
 
 
 def class_and_flags(

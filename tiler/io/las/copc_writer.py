@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from tempfile import TemporaryFile
-from types import TracebackType
 from typing import BinaryIO
 
 import lazrs
@@ -80,9 +79,7 @@ class CopcWriter:
     def __enter__(self) -> CopcWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._spool.close()
 
     def write(self, records: Records) -> None:

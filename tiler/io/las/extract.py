@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from tiler.io.cloud_reading import open_cloud
+from tiler.io.las.columns import coordinate
 from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.las.octree import Octree
 from tiler.io.las.reader import COORDINATES, EVERYTHING, PointReader, Records, rows_at_once
@@ -38,7 +38,6 @@ def sample_places(
     salvage : bool
         As `tiler.io.las.headers.read_header` takes it.
     octree : Octree, optional
-        Of the file.
 
     Raises
     ------
@@ -50,7 +49,7 @@ def sample_places(
         root = octree.root(header, rows_at_once(header.record_length, _STEP))
         with PointReader(header, COORDINATES, _BLOCK_BYTES, [root]) as reader:
             records = reader.read(*root)[:: max(root[1] // (places * _OF_PLACE), 1)]
-        return list(zip(*(_coordinate(records, header, axis).tolist() for axis in (0, 1)), strict=True))
+        return list(zip(*(coordinate(records, header, axis).tolist() for axis in (0, 1)), strict=True))
     chunk = header.laz.chunk_size if header.laz is not None else None
     starts = {header.point_count * i // places for i in range(places)}
     if chunk:  # decoding begins with a chunk
@@ -59,7 +58,7 @@ def sample_places(
     with PointReader(header) as reader:
         for start in sorted(starts):
             records = reader.read(start, min(_PLACE_POINTS, header.point_count - start))
-            x, y = (_coordinate(records, header, axis)[::_PLACE_STEP].tolist() for axis in (0, 1))
+            x, y = (coordinate(records, header, axis)[::_PLACE_STEP].tolist() for axis in (0, 1))
             found += zip(x, y, strict=True)
     return found
 
@@ -94,17 +93,10 @@ def cut_windows(
     """
     header = read_header(path, salvage)
     parts: list[list[Records]] = [[] for _ in windows]
-    ranges = [] if octree is None else octree.near(header, windows)
-    spans = [(0, header.point_count)] if octree is None else ranges
-    step = rows_at_once(header.record_length, _STEP)
+    ranges = None if octree is None else octree.near(header, windows)
     with PointReader(header, EVERYTHING, ranges=ranges) as reader:
-        for start, number in (
-            (at, min(step, first + count - at))
-            for first, count in spans
-            for at in range(first, first + count, step)
-        ):
-            records = reader.read(start, number)
-            x, y = (_coordinate(records, header, axis) for axis in (0, 1))
+        for records in reader.pieces():
+            x, y = (coordinate(records, header, axis) for axis in (0, 1))
             for (x0, y0, x1, y1), part in zip(windows, parts, strict=True):
                 inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
                 if inside.any():
@@ -115,18 +107,13 @@ def cut_windows(
     return [sum(r.size for r in part) for part in parts]
 
 
-def _coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[np.float64]:
-    values: npt.NDArray[np.float64] = records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
-    return values
-
-
 def _write(header: LasHeader, records: Records, target: Path) -> None:
     """Bytes 94 to 375 of a LAS header that speak of its points, LAS 1.4 R15 table 3; returns are not counted."""
     with open_cloud(header.path, _BLOCK_BYTES) as source:
         front = bytearray(source.read(header.points_offset))
     bounds = []
     for axis in range(3):
-        values = _coordinate(records, header, axis)
+        values = coordinate(records, header, axis)
         bounds += [float(values.max()), float(values.min())]
     struct.pack_into("<B", front, 104, header.point_format)
     struct.pack_into("<I5I", front, 107, 0 if header.version[1] >= 4 else records.size, *[0] * 5)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO
 
 import laspy
@@ -81,9 +80,9 @@ class PointReader:
         Layers to decode (`NEEDED`, `EVERYTHING`, `COORDINATES`); only point formats 6 to 10 have layers.
     block_bytes : int
         Asked for at once, of a cloud at a URL.
-    ranges : sequence of (int, int)
-        First record and number of those that will be read: whole chunks, of which alone bytes are asked for. Empty:
-        any. Each is read from its beginning to its end.
+    ranges : sequence of (int, int), optional
+        First record and number of those that will be read: whole chunks, of which alone bytes are asked for; all if
+        left out. Each is read from its beginning to its end.
     """
 
     def __init__(
@@ -91,15 +90,15 @@ class PointReader:
         header: LasHeader,
         selection: int = NEEDED,
         block_bytes: int = BLOCK_BYTES,
-        ranges: Sequence[tuple[int, int]] = (),
+        ranges: Sequence[tuple[int, int]] | None = None,
     ) -> None:
-        self.header, self._stops = header, {start: start + count for start, count in ranges}
+        self.header = header
+        self._ranges = [(0, header.point_count)] if ranges is None else ranges
+        self._stops = {start: start + count for start, count in ranges or ()}
         self.dtype = record_dtype(header.point_format, header.record_length)
         self._selection = selection
         with decoding(header.path):
-            self._file: BinaryIO = open_cloud(
-                header.path, block_bytes, _parts(header, ranges)
-            )  # closed by close()
+            self._file: BinaryIO = open_cloud(header.path, block_bytes, _parts(header, ranges or ()))
             # The decoder goes on where it left its file: checks of what comes next use another one.
             self._probe: BinaryIO = second_view(self._file, header.path)
         self._decoder: Any = None
@@ -108,9 +107,7 @@ class PointReader:
     def __enter__(self) -> PointReader:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -129,6 +126,13 @@ class PointReader:
             else:
                 raw = self._read_compressed(self.header.laz, start, count)
             return np.frombuffer(raw, dtype=self.dtype)
+
+    def pieces(self, most: int = 1_000_000) -> Iterator[Records]:
+        """All records of the ranges in their order, ``most`` at a time, fewer where they are long."""
+        step = rows_at_once(self.header.record_length, most)
+        for first, count in self._ranges:
+            for start in range(first, first + count, step):
+                yield self.read(start, min(step, first + count - start))
 
     def _read_plain(self, start: int, count: int) -> bytearray:
         length = self.header.record_length
@@ -209,15 +213,7 @@ def _parts(header: LasHeader, ranges: Sequence[tuple[int, int]]) -> list[tuple[i
 class _ChunkView(io.RawIOBase):
     """Some chunks of a LAZ file as a stream of their own: the table's position, the chunks, the table.
 
-    Parameters
-    ----------
-    file : BinaryIO
-    start : int
-        Byte of the first chunk.
-    chunks : list of tuple of int
-        Points and bytes of each chunk.
-    record_data : bytes
-        Of the laszip record.
+    The chunks begin at byte ``start``; of each the points and bytes are given.
     """
 
     def __init__(self, file: BinaryIO, start: int, chunks: list[tuple[int, int]], record_data: bytes) -> None:
@@ -259,13 +255,8 @@ def count_decodable(header: LasHeader) -> int:
     """Points of the whole chunks that can be decoded, for a file whose chunks cannot be walked."""
     if header.laz is None or not header.laz.rebuilt or header.laz.sizes.size:
         return header.point_count
-    step = rows_at_once(header.record_length, header.laz.chunk_size or _STEP)
     found = 0
-    with PointReader(header, COORDINATES) as reader:
-        while found < header.point_count:
-            try:
-                reader.read(found, min(step, header.point_count - found))
-            except InputError:
-                break
-            found += min(step, header.point_count - found)
+    with PointReader(header, COORDINATES) as reader, suppress(InputError):
+        for records in reader.pieces(header.laz.chunk_size or _STEP):
+            found += len(records)
     return found

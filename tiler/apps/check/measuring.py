@@ -1,0 +1,79 @@
+"""All checks of one DTM; what others have written is read by a child process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from tiler.apps.check.accuracy import check_dtm
+from tiler.apps.check.figures import refuse_figures, write_figures
+from tiler.apps.check.points import PointOptions, read_checkpoints
+from tiler.apps.check.requirements import Requirement, judge
+from tiler.apps.check.seams import seams_of
+from tiler.apps.check.strips import strip_differences
+from tiler.errors import ConfigError
+from tiler.schedule import half_of_memory, read_apart
+
+
+def measure(
+    dtm: Path,
+    points: Path | None,
+    options: PointOptions,
+    tile_m: Fraction | None,
+    strips: Sequence[str] = (),
+    requirements: Sequence[Requirement] = (),
+    figures: Path | None = None,
+) -> dict[str, Any]:
+    """Check a DTM by whatever there is to measure by.
+
+    Parameters
+    ----------
+    dtm, points : Path
+    options : PointOptions
+    tile_m : Fraction or None
+        As of `seams_of`.
+    strips : sequence of str
+        Classified clouds.
+    requirements : sequence of Requirement
+    figures : Path, optional
+        Folder for drawings of the checkpoints.
+
+    Returns
+    -------
+    dict
+        ``dtm``; ``accuracy``, ``seams`` and ``strips``, each where it was measured; ``requirements``; ``figures``.
+
+    Raises
+    ------
+    TilerError
+    """
+    if figures is not None:
+        if points is None:
+            raise ConfigError("--figures draws checkpoints; name them with --points")
+        refuse_figures(figures, dtm, points, strips)
+    read = [path for path in (dtm, points) if path is not None]
+    report: dict[str, Any] = {"dtm": str(dtm)}
+    report |= read_apart(
+        _accuracy_and_seams, dtm, points, options, tile_m, paths=read, memory_bytes=half_of_memory()
+    )
+    if strips:
+        report["strips"] = strip_differences(strips)
+    if len(report) == 1:
+        raise ConfigError(
+            f"{dtm}: nothing to check; name --points, --tile-size (there is no run.json beside it) or --strips"
+        )
+    report |= {"requirements": judge(requirements, report), "figures": []}
+    if figures is not None:
+        drawn = (figures, dtm, report["accuracy"])
+        report["figures"] = read_apart(write_figures, *drawn, paths=(dtm,), memory_bytes=half_of_memory())
+    return report
+
+
+def _accuracy_and_seams(
+    dtm: Path, points: Path | None, options: PointOptions, tile_m: Fraction | None
+) -> dict[str, dict[str, Any]]:
+    found = {} if points is None else {"accuracy": check_dtm(dtm, read_checkpoints(points), options)}
+    seams = seams_of(dtm, tile_m)
+    return found if seams is None else {**found, "seams": seams}
