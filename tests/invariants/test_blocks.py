@@ -16,7 +16,10 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import block_heights
 from tiler.plan import make_plan
-from tiler.stages.tasks import Assembled, grid_tasks, label_digests, raster_spec
+from tiler.stages.gridding import Gridding
+from tiler.stages.raster_table import raster_table
+from tiler.stages.raster_tasks import terrain_tasks
+from tiler.stages.tasks import Assembled, label_digests
 
 SIZES = st.fractions(min_value=Fraction(1, 3), max_value=3000, max_denominator=400)
 COUNTS = st.integers(-(10**7), 10**7)
@@ -48,8 +51,9 @@ def test_each_block_is_one_task_and_none_shows(quarter_files: list[Path], tmp_pa
     store = the_store(out)
     assembled = Assembled.of(store.committed("assemble"))
     labels = label_digests(assembled, store.committed("filter0"))
-    spec = raster_spec(plan, assembled)
-    tasks = list(grid_tasks(plan, assembled, labels, "dtm"))
+    gridding = Gridding(plan, assembled, labels)
+    spec = gridding.spec
+    tasks = list(terrain_tasks(raster_table(plan.config)["dtm"], gridding))
     blocks = [task.arguments.block for task in tasks]
     assert blocks == list(spec.blocks(512))
     assert len({task.key for task in tasks}) == 4

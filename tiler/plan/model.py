@@ -148,6 +148,11 @@ class Plan:
         return self.config.method != KEEP and self.config.classified != "none"
 
     @property
+    def area_key(self) -> str | None:
+        """Name of the area in the store; None where all is wanted."""
+        return None if self.area is None else self.area.key
+
+    @property
     def filled(self) -> list[SourceInfo]:
         """Sources that hold points."""
         return [s for s in self.sources if s.points and s.bounds is not None]

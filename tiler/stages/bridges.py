@@ -25,7 +25,7 @@ from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding
-from tiler.stages.tasks import Assembled, ground_rule
+from tiler.stages.tasks import Assembled
 from tiler.store import Commits
 from tiler.version import __version__
 
@@ -61,19 +61,18 @@ def find_bridges(
 
 def _cell_tasks(g: Gridding) -> Iterator[Task]:
     """One for each block of coarse cells with points."""
-    spec, rule, lattice = g.coarse, ground_rule(g.plan), g.plan.meta.bucket
+    spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     reach = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.meta.frame.metres_xy))
     for block, own in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
         work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
         near = lattice.among(spec.block_bounds(block).pad(reach), g.labels)
-        digest = digest_of(__version__, work, [[c.ix, c.iy, g.labels[c]] for c in near])
-        points = sum(g.assembled.records[cell]["n"] for cell in own)
-        yield Task(CELLS, block.name, digest, find_deck_cells, work, points)
+        digest = digest_of(__version__, work, g.seen(near))
+        yield Task(CELLS, block.name, digest, find_deck_cells, work, g.points(own))
 
 
 def _deck_tasks(g: Gridding, found: Commits) -> Iterator[Task]:
     """One for the places of each bucket where cells that may be decks touch one another."""
-    spec, rule, lattice = g.coarse, ground_rule(g.plan), g.plan.meta.bucket
+    spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     metres = float(g.plan.meta.frame.metres_xy)
     groups: dict[Cell, list[PlaceCells]] = defaultdict(list)
     for cells in _places(spec, found):
@@ -86,9 +85,8 @@ def _deck_tasks(g: Gridding, found: Commits) -> Iterator[Task]:
     for cell, places in sorted(groups.items()):
         work = ExamineDecks(rule, spec, tuple(places))
         near = lattice.among(reduce(Bounds.union, (examined(spec, c, metres) for c in places)), g.labels)
-        digest = digest_of(__version__, work, [[c.ix, c.iy, g.labels[c]] for c in near])
-        points = sum(g.assembled.records[c]["n"] for c in near)
-        yield Task(DECKS, cell.name, digest, examine_decks, work, points)
+        digest = digest_of(__version__, work, g.seen(near))
+        yield Task(DECKS, cell.name, digest, examine_decks, work, g.points(near))
 
 
 def _places(spec: RasterSpec, found: Commits) -> Iterator[PlaceCells]:

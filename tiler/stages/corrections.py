@@ -6,13 +6,11 @@ They change the digests of the buckets and blocks that they touch and of no othe
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from tiler.core.breaklines import SHORTEST_M, Breaklines, Counts
+from tiler.core.breaklines import SHORTEST_M, Breaklines
 from tiler.core.edits import OF_PIXELS, OF_POINTS, Edit, Edits
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
@@ -25,14 +23,13 @@ from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Placed, Task, digest_of
 from tiler.stages.bridges import find_bridges
+from tiler.stages.map_lines import add_rings, drawn
 from tiler.stages.tasks import Assembled, ground_rule
 from tiler.store import Commits
 from tiler.version import __version__
 
 EDITED = ("dtm", "dtm-filled", "dtm-outlined")
 """Rasters whose heights edits can set."""
-MOST_PLACES = 20_000
-"""Vertices that run.json and the report's map take of edits, or of breaklines."""
 FOLLOWS_LINES = "dtm"
 """The raster that is made of breaklines as well."""
 
@@ -103,22 +100,19 @@ def correct(
     """Take up what the plan read; digests of the labels as they are with it, and what holds besides."""
     plan, found = job.plan, Corrections()
     corrected = dict(labels)
-    decks, drawn = find_bridges(job, assembled, labels)
+    decks, shapes = find_bridges(job, assembled, labels)
     if decks or plan.edits:
         cell = Lattice(plan.meta.frame.counts(plan.resolution))
         edits = Edits((*decks, *_surveyed(job, assembled, labels, cell)), cell)
         job.store.put_edits(edits)
-        found = replace(found, edits=edits, decks=drawn)
+        found = replace(found, edits=edits, decks=shapes)
         corrected = _labels(plan, edits, labels)
     if plan.lines:
         pixel = plan.meta.frame.counts(plan.resolution)
         lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(SHORTEST_M), assembled.bounds)
         job.store.put_breaklines(lines)
-        job.facts["breaklines"] = {
-            "lines": len(plan.lines),
-            "vertices": len(lines.vertices),
-            "drawn": _drawn(plan.lines),
-        }
+        vertices, on_map = len(lines.vertices), drawn(plan.lines)
+        job.facts["breaklines"] = {"lines": len(plan.lines), "vertices": vertices, "drawn": on_map}
         found = replace(found, lines=lines, line_digests=lines.digests(plan.meta.bucket))
     return corrected, found
 
@@ -152,18 +146,8 @@ def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str], cell: 
     records = {number: made[task.key][1] for number, task in tasks.items()}
     edits = tuple(replace(e, lowest=records[e.number]["lowest"]) for e in plan.edits)
     job.facts["edits"] = [_fact(edit, records[edit.number]) for edit in edits]
-    rings = [[ring for rings in edit.area.polygons for ring in rings] for edit in edits]
-    if sum(len(ring) for of_edit in rings for ring in of_edit) <= MOST_PLACES:
-        for fact, of_edit in zip(job.facts["edits"], rings, strict=True):
-            fact["rings"] = _drawn([np.vstack((ring, ring[:1])) for ring in of_edit])
+    add_rings(job.facts["edits"], [edit.area for edit in edits])
     return edits
-
-
-def _drawn(lines: Sequence[Counts]) -> list[list[float]]:
-    """Lines for the map, x, y, x, y, ... in units of the CRS; none where they have too many vertices for a page."""
-    if sum(len(line) for line in lines) > MOST_PLACES:
-        return []
-    return [(line[:, :2] / COUNTS_PER_UNIT).ravel().tolist() for line in lines]
 
 
 def _survey_task(

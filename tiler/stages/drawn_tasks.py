@@ -25,8 +25,6 @@ from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.schedule import Task, Work, digest_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.raster_table import final
-from tiler.stages.raster_tasks import checksums
-from tiler.stages.tasks import area_key
 from tiler.version import __version__
 
 SMOOTH_PIXELS = 2
@@ -43,8 +41,8 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
         "raster": terrain,
         "spec": g.spec,
         "out": out,
-        "area": area_key(plan),
-        "waters": g.waters.key if g.waters.bodies else None,
+        "area": plan.area_key,
+        "waters": g.water_key,
         "interval": None if interval is None else interval / plan.meta.frame.units.vertical,
     }
     smooth = config.contour_smooth
@@ -55,8 +53,8 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
         SPOTS: (write_spots, WriteSpots(**common, reach=reach)),
     }
     if config.outline == "survey":
-        outline = WriteOutline(name=OUTLINE, survey="survey", coarse=g.coarse, out=out, area=area_key(plan))
-        digest = digest_of(__version__, outline, checksums(g.made["survey"]))
+        outline = WriteOutline(name=OUTLINE, survey="survey", coarse=g.coarse, out=out, area=plan.area_key)
+        digest = digest_of(__version__, outline, g.checksums("survey"))
         yield Task("export", OUTLINE, digest, write_outline, outline)
     if g.decks:
         bridges = WriteBridges(BRIDGES, tuple(g.decks), out)
@@ -66,5 +64,5 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
         yield Task("export", WATER, digest_of(__version__, water), write_water, water)
     for name in config.drawn:
         write, work = works[name]
-        digest = digest_of(__version__, work, checksums(g.made[terrain]))
+        digest = digest_of(__version__, work, g.checksums(terrain))
         yield Task("export", f"{name}.gpkg", digest, write, work, g.spec.height * g.spec.width)

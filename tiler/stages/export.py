@@ -25,10 +25,10 @@ from tiler.stages.file_tasks import (
     legend_tasks,
     mosaic_tasks,
 )
+from tiler.stages.filter import kind_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.ingest_tasks import Source
 from tiler.stages.outdated import put_aside
-from tiler.stages.tasks import area_key
 from tiler.store import Commits
 
 PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)
@@ -67,7 +67,7 @@ def export(
     if mosaics or job.store.committed("mosaic"):
         mosaics += index_tasks(tasks, made, out)
         made |= _write(job, "mosaic", mosaics, out)
-    catalogue = list(catalogue_tasks(gridding, sources, _kind(job), made, out))
+    catalogue = list(catalogue_tasks(gridding, sources, kind_of(job), made, out))
     _make_folders(catalogue, out)
     made |= _write(job, STAGE, catalogue, out)
     files = [task.key for task in (*tasks, *mosaics, *catalogue) if task.key.endswith(PRODUCTS)]
@@ -91,13 +91,6 @@ def export(
         raise ProcessingError(
             f"{job.record.failed[-1]['key']} could not be written: {job.record.failed[-1]['error']}"
         )
-
-
-def _kind(job: Job) -> str | None:
-    """What made the clouds, as the run found it or the user says; None where nobody asked."""
-    survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
-    found: str | None = survey.get("kind", job.plan.config.source_kind)
-    return found
 
 
 def _make_folders(tasks: list[Task], out: str) -> None:
@@ -149,9 +142,9 @@ def _basis(gridding: Gridding) -> str:
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
     cut = str(config.sheets) if config.sheets is None else [str(config.sheets), config.sheet_name]
-    water = gridding.waters.key if gridding.waters.bodies else None
+    water = gridding.water_key
     return digest_of(
-        terrain, config.voids, config.outline, str(config.spike), cut, area_key(gridding.plan), water
+        terrain, config.voids, config.outline, str(config.spike), cut, gridding.plan.area_key, water
     )
 
 

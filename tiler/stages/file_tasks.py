@@ -37,8 +37,6 @@ from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.ingest_tasks import Source, by_source
 from tiler.stages.raster_table import MODELS, final, raster_table
-from tiler.stages.raster_tasks import checksums
-from tiler.stages.tasks import area_key
 from tiler.store import Commits, KeptPiece
 from tiler.version import __version__
 
@@ -99,15 +97,15 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
             spec=g.spec,
             compress=g.plan.config.compress,
             fill=rasters[raster].fill,
-            area=area_key(g.plan),
+            area=g.plan.area_key,
         )
         if g.plan.config.sheets is None:
-            yield _cog_task(whole, checksums(g.made[raster]))
+            yield _cog_task(whole, g.checksums(raster))
             continue
         for sheet, read in cut:
             spec = sheet.spec
             near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS)
-            seen = [[b.name, g.made[raster][b.name][1]["checksum"]] for b in near if b.name in g.made[raster]]
+            seen = g.checksums(raster, (block.name for block in near))
             work = replace(
                 whole,
                 name=name_of(g, name, sheet),
@@ -264,7 +262,7 @@ def classified_tasks(
             labels=LABELS,
             cells=tuple(cells),
             salvage=plan.config.salvage,
-            area=None if whole else area_key(plan),
+            area=None if whole else plan.area_key,
             stamp=source.info.stamp,
             ranges=_window(plan, source.info),
             copc=plan.config.classified == "copc",

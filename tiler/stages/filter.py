@@ -70,6 +70,13 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
     return dict(before.digests)
 
 
+def kind_of(job: Job) -> str | None:
+    """What made the clouds, as the run found it or the user says; None where nobody asked."""
+    survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
+    found: str | None = survey.get("kind", job.plan.config.source_kind)
+    return found
+
+
 def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
     """Take back what an earlier run did of passes that do not apply now: what they wrote may be overwritten."""
     for number, step in enumerate(passes):

@@ -24,6 +24,7 @@ from tiler.runs.stage_runner import run_stage
 from tiler.runs.worker import compute
 from tiler.schedule import Task, digest_of
 from tiler.stages.corrections import Corrections, tell_of_pixels
+from tiler.stages.filter import kind_of
 from tiler.stages.gridding import Gridding, Raster
 from tiler.stages.raster_table import wanted
 from tiler.stages.raster_tasks import WHOLE
@@ -65,8 +66,7 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str], corrections: C
 def _settle_surface(job: Job) -> None:
     """Decide what makes the surface where the user does not: matched clouds are noisy, their walls have skirts."""
     plan, config = job.plan, job.plan.config
-    survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
-    if config.method == KEEP or survey.get("kind", config.source_kind) != MATCHED:
+    if config.method == KEEP or kind_of(job) != MATCHED:
         return
     surface = config.surface or MATCHED_SURFACE
     erode = MATCHED_EROSION if config.erode is None else config.erode

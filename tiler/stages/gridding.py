@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
+from typing import Any
 
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import RasterSpec
 from tiler.core.water import Waters
 from tiler.export.work import DrawnDeck
+from tiler.grid import GroundRule
 from tiler.plan import Plan
 from tiler.schedule import Task, Work
-from tiler.stages.tasks import Assembled, raster_spec
+from tiler.stages.tasks import Assembled, ground_rule, raster_spec
 from tiler.store import Commits
 
 COARSE_CELL_M = 2
@@ -84,6 +86,30 @@ class Gridding:
     made: dict[str, Commits] = field(default_factory=dict)
     decks: Sequence[DrawnDeck] = ()
     waters: Waters = field(default_factory=lambda: Waters(()))
+
+    @property
+    def rule(self) -> GroundRule:
+        """Which points are ground."""
+        return ground_rule(self.plan)
+
+    @property
+    def water_key(self) -> str | None:
+        """Name of the bodies of water in the store; None where there is none."""
+        return self.waters.key if self.waters.bodies else None
+
+    def seen(self, cells: Iterable[Cell]) -> list[list[Any]]:
+        """What results depend on that see the points and labels of some buckets."""
+        return [[cell.ix, cell.iy, self.labels[cell]] for cell in cells]
+
+    def points(self, cells: Iterable[Cell]) -> int:
+        """Points of some buckets."""
+        return sum(self.assembled.records[cell]["n"] for cell in cells)
+
+    def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:
+        """Name and checksum of each block of a raster, or of those of some blocks that were made."""
+        made = self.made[raster]
+        wanted = sorted(made) if blocks is None else (name for name in blocks if name in made)
+        return [[name, made[name][1]["checksum"]] for name in wanted]
 
     @property
     def spec(self) -> RasterSpec:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
-from tiler.core.lattice import Bounds, Cell
+from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.core.water import Waters
 from tiler.grid import (
     DeriveBlock,
     DistanceBlock,
     FillBlock,
+    GridBlock,
     MakeSurvey,
     MaskBlock,
     OutlineBlock,
@@ -26,86 +29,73 @@ from tiler.grid import (
 )
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import GAP_M, Gridding, Raster
-from tiler.stages.tasks import area_key, grid_tasks, ground_rule
-from tiler.store import Commits
 from tiler.version import __version__
 
 WHOLE = "whole"
 """Key of the one task of a raster that is made at once."""
 
 
-def _near(g: Gridding, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
-    """Blocks within ``reach`` counts of buckets, each with these."""
-    return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, reach)
-
-
 def terrain_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block that a facet of the terrain could reach."""
-    return grid_tasks(g.plan, g.assembled, g.labels, raster.name)
+    plan, frame, share = g.plan, g.plan.meta.frame, g.plan.surface_share
+    widest = full_halo(frame.counts(plan.config.max_edge))
+    make = partial(
+        GridBlock,
+        **_tin(g),
+        max_halo=widest,
+        interpolation=plan.config.interpolation,
+        percent=plan.config.surface_percent,
+        thin=None if share is None else Lattice(frame.counts(plan.resolution / share)),
+        max_points=plan.block_points,
+    )
+    return _block_tasks(raster, g, make, widest)
 
 
 def point_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block with points, of which a pixel sees those within itself."""
-    spec, rule = g.spec_of(raster), ground_rule(g.plan)
-
-    def work(block: Block) -> PointsBlock:
-        return PointsBlock(name=raster.name, spec=spec, block=block, rule=rule)
-
-    return _block_tasks(raster, g, work, 0)
+    return _block_tasks(raster, g, PointsBlock, 0)
 
 
 def distance_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block within reach of points; distances are capped."""
-    spec, rule, cap = g.spec, ground_rule(g.plan), g.plan.meta.frame.counts(g.plan.config.max_edge)
-
-    def work(block: Block) -> DistanceBlock:
-        return DistanceBlock(name=raster.name, spec=spec, block=block, rule=rule, cap=cap)
-
-    return _block_tasks(raster, g, work, math.ceil(cap) + 1)
+    cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
+    return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
 
 def surface_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block that a facet of the surface could reach; nowhere is it below the terrain."""
-    plan, frame = g.plan, g.plan.meta.frame
-    limit, reach = frame.counts(plan.config.max_edge), reach_pixels(plan.resolution)
+    plan, frame, pixels = g.plan, g.plan.meta.frame, reach_pixels(g.plan.resolution)
     (terrain,) = raster.inputs
-    spec, rule, data = g.spec, ground_rule(plan), g.assembled.bounds
-    halo, spike = math.ceil(frame.counts(plan.grid_halo)), plan.config.spike / frame.metres_z
-
-    def work(block: Block) -> SurfaceBlock:
-        return SurfaceBlock(
-            name=raster.name,
-            spec=spec,
-            block=block,
-            rule=rule,
-            data=data,
-            max_edge=limit,
-            halo=halo,
-            spike=spike,
-            reach=reach,
-            terrain=terrain,
-        )
-
-    return _block_tasks(
-        raster, g, work, full_halo(limit) + math.ceil((reach + 1) * frame.counts(plan.resolution))
-    )
+    spike = plan.config.spike / frame.metres_z
+    make = partial(SurfaceBlock, **_tin(g), spike=spike, reach=pixels, terrain=terrain)
+    widest = full_halo(frame.counts(plan.config.max_edge))
+    return _block_tasks(raster, g, make, widest + math.ceil((pixels + 1) * frame.counts(plan.resolution)))
 
 
-def _block_tasks(
-    raster: Raster, g: Gridding, work_of: Callable[[Block], PointsBlock], reach: int
-) -> Iterator[Task]:
-    """One for each block within ``reach`` counts of points; it sees the same block of the raster's inputs."""
+def _tin(g: Gridding) -> dict[str, Any]:
+    """What all blocks on a TIN have in common."""
+    counts, plan = g.plan.meta.frame.counts, g.plan
+    halo = math.ceil(counts(plan.grid_halo))
+    return {"data": g.assembled.bounds, "max_edge": counts(plan.config.max_edge), "halo": halo}
+
+
+def _block_tasks(raster: Raster, g: Gridding, make: Callable[..., PointsBlock], reach: int) -> Iterator[Task]:
+    """One for each block within ``reach`` counts of points; it sees the same block of the raster's inputs.
+
+    ``make`` gets name, spec, block and rule.
+    """
+    spec, rule = g.spec_of(raster), g.rule
+    for block, near in _near(g, spec, reach).items():
+        work = make(name=raster.name, spec=spec, block=block, rule=rule)
+        under = [g.checksums(name, [block.name]) for name in raster.inputs]
+        digest = digest_of(__version__, work, g.seen(near), under)
+        yield Task(raster.stage, block.name, digest, raster.work, work, g.points(near))
+
+
+def _near(g: Gridding, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
+    """Blocks within ``reach`` counts of buckets, and as far as objects erode the ground, each with these buckets."""
     reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
-    for block, near in _near(g, g.spec_of(raster), reach).items():
-        work = work_of(block)
-        under = [
-            g.made[name][block.name][1]["checksum"] for name in raster.inputs if block.name in g.made[name]
-        ]
-        seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in near]
-        points = sum(g.assembled.records[cell]["n"] for cell in near)
-        yield Task(
-            raster.stage, block.name, digest_of(__version__, work, seen, under), raster.work, work, points
-        )
+    return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, reach)
 
 
 def survey_task(raster: Raster, g: Gridding) -> Iterator[Task]:
@@ -114,7 +104,7 @@ def survey_task(raster: Raster, g: Gridding) -> Iterator[Task]:
     (occupancy,) = raster.inputs
     most = float(g.plan.config.max_edge / g.coarse_m)
     work = MakeSurvey(raster.name, coarse, occupancy, float(GAP_M / g.coarse_m), most, g.spec)
-    digest = digest_of(__version__, work, checksums(g.made[occupancy]))
+    digest = digest_of(__version__, work, g.checksums(occupancy))
     yield Task(raster.stage, WHOLE, digest, raster.work, work, coarse.height * coarse.width)
 
 
@@ -123,7 +113,7 @@ def voids_task(raster: Raster, g: Gridding) -> Iterator[Task]:
     spec = g.spec
     model, survey = raster.inputs
     work = VoidRasters(model, spec, survey, g.coarse, raster.name)
-    digest = digest_of(__version__, work, checksums(g.made[model]), checksums(g.made[survey]))
+    digest = digest_of(__version__, work, g.checksums(model), g.checksums(survey))
     yield Task(raster.stage, WHOLE, digest, raster.work, work, spec.height * spec.width)
 
 
@@ -139,16 +129,13 @@ def fill_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         near = [block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)]
         for key in near:
             voids_of[key].append(number)
-        rims.append(
-            digest_of([[key, g.made[model][key][1]["checksum"]] for key in near if key in g.made[model]])
-        )
-    surveyed, numbers = checksums(g.made[survey]), checksums(found)
+        rims.append(digest_of(g.checksums(model, near)))
+    surveyed, numbers = g.checksums(survey), g.checksums(voids)
     for key in sorted(voids_of.keys() | g.made[model].keys()):
         mine = voids_of.get(key, [])
-        own = g.made[model][key][1]["checksum"] if key in g.made[model] else None
         block = spec.block_named(key, BLOCK_PIXELS)
         work = FillBlock(raster.name, block, rasters, tuple(Void(n + 1, Block(*boxes[n])) for n in mine))
-        seen = [own, surveyed, [numbers, *(rims[n] for n in mine)] if mine else []]
+        seen = [g.checksums(model, [key]), surveyed, [numbers, *(rims[n] for n in mine)] if mine else []]
         digest = digest_of(__version__, work, seen)
         yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
 
@@ -156,9 +143,9 @@ def fill_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
 def outline_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block of a model, and for those of the survey that hold water."""
     model, survey = raster.inputs
-    made, surveyed = g.made[model], checksums(g.made[survey])
+    surveyed = g.checksums(survey)
     waters = g.waters if raster.name.startswith("dtm") else Waters(())
-    keys = {*made}
+    keys = {*g.made[model]}
     if waters.bodies:
         inside = blocks_of(g.made[survey][WHOLE][1]["blocks"], g.spec, BLOCK_PIXELS)
         keys |= {block.name for block in inside if waters.near(g.spec.block_bounds(block)).bodies}
@@ -175,17 +162,15 @@ def outline_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
             cut=g.plan.config.outline == "survey",
             waters=waters.key if wet else None,
         )
-        own = made[key][1]["checksum"] if key in made else None
-        digest = digest_of(__version__, work, own, surveyed, wet)
+        digest = digest_of(__version__, work, g.checksums(model, [key]), surveyed, wet)
         yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
 
 
 def mask_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     """One for each block that has a height, or could have one: within the survey, or where a tile failed."""
-    spec, coarse, rule, area = g.spec, g.coarse, ground_rule(g.plan), area_key(g.plan)
+    spec, coarse, rule = g.spec, g.coarse, g.rule
     dtm, heights, survey = raster.inputs
-    surveyed = checksums(g.made[survey])
-    near = _near(g, spec, math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion)))
+    surveyed, near = g.checksums(survey), _near(g, spec)
     holes: dict[Block, list[Bounds]] = defaultdict(list)
     for hole in g.holes:
         for block in spec.blocks_within(hole, BLOCK_PIXELS):
@@ -203,15 +188,12 @@ def mask_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
             survey=survey,
             coarse=coarse,
             holes=tuple(holes.get(block, ())),
-            area=area,
-            waters=g.waters.key if g.waters.bodies else None,
+            area=g.plan.area_key,
+            waters=g.water_key,
         )
         wet = g.waters.digest(spec.block_bounds(block))
-        rasters = [
-            g.made[name][block.name][1]["checksum"] for name in (dtm, heights) if block.name in g.made[name]
-        ]
-        seen = [[cell.ix, cell.iy, g.labels[cell]] for cell in near.get(block, [])]
-        digest = digest_of(__version__, work, surveyed, rasters, seen, wet)
+        rasters = [g.checksums(name, [block.name]) for name in (dtm, heights)]
+        digest = digest_of(__version__, work, surveyed, rasters, g.seen(near.get(block, [])), wet)
         yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
 
 
@@ -221,20 +203,13 @@ def derived_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
     keys = set.intersection(*(set(g.made[source]) for source in raster.inputs))
     for block in sorted((spec.block_named(key, BLOCK_PIXELS) for key in keys), key=north_west):
         work = DeriveBlock(name=raster.name, spec=spec, block=block, sources=raster.inputs, fill=raster.fill)
-        digest = digest_of(__version__, work, [_around(g.made[source], block) for source in raster.inputs])
+        digest = digest_of(
+            __version__, work, [g.checksums(source, _around(block)) for source in raster.inputs]
+        )
         yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
 
 
-def checksums(commits: Commits) -> list[list[str]]:
-    """Name and checksum of each block of a raster."""
-    return [[key, record["checksum"]] for key, (_, record) in sorted(commits.items())]
-
-
-def _around(commits: Commits, block: Block) -> list[list[str]]:
-    """Checksums of a block and of its eight neighbours."""
-    near = [
-        Block(block.row + down, block.col + right, 0, 0).name
-        for down in (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
-        for right in (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
-    ]
-    return [[key, commits[key][1]["checksum"]] for key in near if key in commits]
+def _around(block: Block) -> list[str]:
+    """Names of a block and of its eight neighbours, whether or not there are such."""
+    steps = (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
+    return [Block(block.row + down, block.col + right, 0, 0).name for down in steps for right in steps]

@@ -1,4 +1,4 @@
-"""The tasks of tiles and of blocks of the terrain, with the digest of everything that their results depend on.
+"""The tasks of filter tiles, with the digest of everything that their results depend on, and what the stages share.
 
 A task is done if the store holds a commit with its digest. So a change of a parameter, an input or a neighbour makes
 exactly those tasks new that it can reach, and everything else is found done.
@@ -17,9 +17,9 @@ from ptd.methods import METHODS
 from ptd.passes import Pass, later_passes, read_at_candidates
 from tiler.core.classes import GROUND, OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.core.raster import RasterSpec
 from tiler.filter import LABELS, FilterTile, filter_tile, sight_m
-from tiler.grid import GridBlock, GroundRule, full_halo, grid_block
+from tiler.grid import GroundRule
 from tiler.plan import KEEP, Plan
 from tiler.plan.filter_tiles import tiles_of
 from tiler.plan.memory import held_bytes
@@ -33,13 +33,9 @@ ERODE_RISE_M = 1
 
 def skip_flags(plan: Plan) -> int:
     """Bits of flags that keep a point out of filtering."""
-    config = plan.config
-    return (
-        WITHHELD_FLAG
-        | STRAY_FLAG
-        | (SYNTHETIC_FLAG if config.skip_synthetic else 0)
-        | (OVERLAP_FLAG if config.skip_overlap else 0)
-    )
+    synthetic = SYNTHETIC_FLAG if plan.config.skip_synthetic else 0
+    overlap = OVERLAP_FLAG if plan.config.skip_overlap else 0
+    return WITHHELD_FLAG | STRAY_FLAG | synthetic | overlap
 
 
 @dataclass(frozen=True)
@@ -200,11 +196,6 @@ def label_digests(assembled: Assembled, filtered: Commits, what: str = "labels")
     return {cell: digest_of(given, assembled.digests[cell]) for cell, given in labels.items()}
 
 
-def area_key(plan: Plan) -> str | None:
-    """Name of the plan's area in the store; None where all is wanted."""
-    return None if plan.area is None else plan.area.key
-
-
 def raster_spec(plan: Plan, assembled: Assembled) -> RasterSpec:
     """The one pixel grid of the run: all stored points within the area, pixels on multiples of the resolution."""
     extent = assembled.bounds
@@ -223,30 +214,3 @@ def ground_rule(plan: Plan) -> GroundRule:
         plan.meta.frame.counts(plan.config.erosion),
         math.ceil(ERODE_RISE_M / plan.meta.frame.metres_z),
     )
-
-
-def grid_tasks(plan: Plan, assembled: Assembled, labels: Mapping[Cell, str], name: str) -> Iterator[Task]:
-    """One for each block of the raster that a facet could reach."""
-    spec, frame = raster_spec(plan, assembled), plan.meta.frame
-    max_edge, share = frame.counts(plan.config.max_edge), plan.surface_share
-    thin = None if share is None else Lattice(frame.counts(plan.resolution / share))
-    rule, data, halo = ground_rule(plan), assembled.bounds, math.ceil(frame.counts(plan.grid_halo))
-    reach = full_halo(max_edge) + math.ceil(frame.counts(plan.config.erosion))
-    for block, near in spec.blocks_near(plan.meta.bucket, labels, BLOCK_PIXELS, reach).items():
-        work = GridBlock(
-            name=name,
-            spec=spec,
-            block=block,
-            rule=rule,
-            data=data,
-            max_edge=max_edge,
-            halo=halo,
-            max_halo=full_halo(max_edge),
-            interpolation=plan.config.interpolation,
-            percent=plan.config.surface_percent,
-            thin=thin,
-            max_points=plan.block_points,
-        )
-        digest = digest_of(__version__, work, [[cell.ix, cell.iy, labels[cell]] for cell in near])
-        points = sum(assembled.records[cell]["n"] for cell in near)
-        yield Task(f"grid-{name}", block.name, digest, grid_block, work, points)

@@ -14,9 +14,10 @@ from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
-from tiler.stages.corrections import MOST_PLACES
+from tiler.stages.filter import kind_of
 from tiler.stages.gridding import Gridding
-from tiler.stages.raster_tasks import WHOLE, checksums
+from tiler.stages.map_lines import add_rings
+from tiler.stages.raster_tasks import WHOLE
 from tiler.store import Commits
 from tiler.version import __version__
 
@@ -69,14 +70,13 @@ def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
             "--water"
         )
         return ()
-    survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})
     work = FindWater(
         "dtm", g.spec, tuple(sorted(g.made["dtm"])), "occupancy", g.coarse,
-        gap=float(config.max_edge / g.coarse_m), trusted=survey.get("kind", config.source_kind) != MATCHED,
+        gap=float(config.max_edge / g.coarse_m), trusted=kind_of(job) != MATCHED,
         lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
         island_m2=float(config.water_min_island),
     )  # fmt: skip
-    seen = [checksums(g.made[name]) for name in ("dtm", "occupancy")]
+    seen = [g.checksums(name) for name in ("dtm", "occupancy")]
     digest = digest_of(__version__, work, seen, str(frame.units.vertical))
     task = Task(FINDING, WHOLE, digest, find_bodies, work, g.coarse.height * g.coarse.width)
     made = run_stage(job, FINDING, [task])
@@ -103,8 +103,7 @@ def level_tasks(g: Gridding, bodies: tuple[Water, ...]) -> Iterator[Task]:
         near = body.area.bounds.pad(pad)
         others = tuple(b.area for b in bodies if b is not body and b.area.bounds.overlaps(near))
         work = LevelWater(body, others, "dtm", spec)
-        blocks = (block.name for block in spec.blocks_within(near, BLOCK_PIXELS))
-        seen = [[key, g.made["dtm"][key][1]["checksum"]] for key in blocks if key in g.made["dtm"]]
+        seen = g.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))
         digest = digest_of(__version__, body.digest, body.number, [other.key for other in others], spec, seen)
         yield Task(STAGE, _key(body), digest, level_water, work)
 
@@ -121,13 +120,7 @@ def tell_of_waters(job: Job, waters: Waters, terrain: Commits) -> None:
             pixels[number] = pixels.get(number, 0) + count
     square = float(job.plan.resolution) ** 2
     facts = [_fact(body, pixels.get(body.number, 0), square) for body in waters.bodies]
-    rings = [[ring for rings in body.area.polygons for ring in rings] for body in waters.bodies]
-    if sum(len(ring) for of_body in rings for ring in of_body) <= MOST_PLACES:
-        for fact, of_body in zip(facts, rings, strict=True):
-            fact["rings"] = [
-                [*(ring / COUNTS_PER_UNIT).ravel().tolist(), *(ring[0] / COUNTS_PER_UNIT).tolist()]
-                for ring in of_body
-            ]
+    add_rings(facts, [body.area for body in waters.bodies])
     job.facts["water"] = facts
 
 
