@@ -42,6 +42,9 @@ COMMANDS = {
 }
 """Commands in the order of the help, with its line for each: help must not import them all."""
 
+STAGES = ("ingest", "filter", "grid", "export")
+"""Commands of the module of ``run``."""
+
 
 class LazyGroup(click.Group):
     """A group whose commands are modules of `cli.commands`, imported when they are used."""
@@ -54,7 +57,8 @@ class LazyGroup(click.Group):
         """Import the command's module."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = importlib.import_module(f"cli.commands.{cmd_name}").command
+        module = importlib.import_module(f"cli.commands.{'run' if cmd_name in STAGES else cmd_name}")
+        command: click.Command = module.stages[cmd_name] if cmd_name in STAGES else module.command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -51,12 +51,6 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         say(("  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True))).rstrip())
 
 
-def print_facts(facts: Mapping[str, Any]) -> None:
-    """One line a fact, names aligned, nested facts below theirs; facts that are None are left out."""
-    for line in fact_lines(facts):
-        say(line)
-
-
 def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
     """A small map of shades, north up, and what they mean.
 
@@ -87,9 +81,17 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
     ]
 
 
+def print_facts(facts: Mapping[str, Any]) -> None:
+    """One line a fact, names aligned, nested facts below theirs; facts that are None are left out."""
+    for line in fact_lines(facts):
+        say(line)
+
+
 def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:
-    """The lines of `print_facts`."""
-    shown = {_fact_name(name): value for name, value in facts.items() if value is not None}
+    """The lines of `print_facts`; names of ours in words, those of files and tags as they are."""
+    ours = (n for n in facts if n.islower() and not set(n) & set("./-"))
+    words = {name: name.replace("_", " ") for name in ours}
+    shown = {words.get(name, name): value for name, value in facts.items() if value is not None}
     width = max((len(name) for name in shown), default=0)
     lines = []
     for name, value in shown.items():
@@ -99,12 +101,6 @@ def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:
         else:
             lines.append(f"{indent}{name.ljust(width)}  {_fact_text(value)}")
     return lines
-
-
-def _fact_name(name: str) -> str:
-    """A name of ours in words; of a file, or of a tag, it is a name and stays."""
-    ours = name.islower() and not set(name) & set("./-")
-    return name.replace("_", " ") if ours else name
 
 
 def _fact_text(value: Any) -> str:

@@ -62,38 +62,22 @@ class TilerCommand(click.Command):
         super().__init__(*arguments, **settings)
         self._resumes = resumes
         if progress:
-            self.params.append(
-                click.Option(
-                    ("--progress",),
-                    type=click.Choice(("auto", "plain", "json", "none")),
-                    default="auto",
-                    expose_value=False,
-                    is_eager=True,
-                    callback=_set_progress,
-                    help="on stderr: bars on a terminal and lines elsewhere (auto), lines, a JSON object a line, or "
-                    "none [default: auto]",
-                )
+            self._add(
+                "--progress",
+                callback=_set_progress,
+                type=click.Choice(("auto", "plain", "json", "none")),
+                default="auto",
+                help="on stderr: bars on a terminal and lines elsewhere (auto), lines, a JSON object a line, or "
+                "none [default: auto]",
             )
-        self.params.extend(
-            (
-                click.Option(
-                    ("-v", "--verbose"),
-                    count=True,
-                    expose_value=False,
-                    is_eager=True,
-                    callback=_louder,
-                    help="say more; -vv: everything, and tracebacks [default: progress, notes and warnings]",
-                ),
-                click.Option(
-                    ("-q", "--quiet"),
-                    is_flag=True,
-                    expose_value=False,
-                    is_eager=True,
-                    callback=_quieter,
-                    help="no progress, no summary: only warnings and errors [default: no]",
-                ),
-            )
-        )
+        said = "say more; -vv: everything, and tracebacks [default: progress, notes and warnings]"
+        self._add("-v", "--verbose", callback=_louder, count=True, help=said)
+        said = "no progress, no summary: only warnings and errors [default: no]"
+        self._add("-q", "--quiet", callback=_quieter, is_flag=True, help=said)
+
+    def _add(self, *names: str, **settings: Any) -> None:
+        """Add an option that changes the session and that the command does not get to see."""
+        self.params.append(click.Option(names, expose_value=False, is_eager=True, **settings))
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; what it returns is the exit code, None is 0."""

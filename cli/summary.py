@@ -32,13 +32,13 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     """
     points = summary["counts"]["stored"]
     lines = ["nothing to do: everything was done before"] if did_nothing else []
-    files = len(summary["inputs"])
-    lines.append(
-        f"points      {points:,} of {files:,} file{'' if files == 1 else 's'}" + _dropped(summary["counts"])
-    )
+    files, dropped = len(summary["inputs"]), sum(summary["counts"]["dropped"].values())
+    lost = f", {dropped:,} dropped" if dropped else ""
+    lines.append(f"points      {points:,} of {files:,} file{'' if files == 1 else 's'}{lost}")
     if "filter" in summary:
         facts = summary["filter"]
-        lines.append(f"ground      {facts['ground']:,} points, in {facts['tiles']:,} tiles" + _marked(facts))
+        marked = f", {facts['marked']:,} labels not certified" if facts["marked"] else ""
+        lines.append(f"ground      {facts['ground']:,} points, in {facts['tiles']:,} tiles{marked}")
     rasters = sorted(_RASTERS.keys() & summary.get("outputs", {}), key=_RASTERS.__getitem__)
     for name in rasters[:1]:
         facts = summary["dtm"]
@@ -51,7 +51,8 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
     lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
     lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")
-    lines.extend(f"left out    {q['path']}: {_reason(q)}" for q in summary["quarantined"])
+    for path, error in ((q["path"], q["error"]) for q in summary["quarantined"]):
+        lines.append(f"left out    {path}: {error.removeprefix(f'{path}: ')}")  # most begin with it
     return [*lines, *failed_lines(summary["failed_tasks"])]
 
 
@@ -65,20 +66,6 @@ def failed_lines(failed: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _place(bounds: Sequence[float] | None) -> str:
     return "" if bounds is None else f" (--bounds {' '.join(f'{edge:.10g}' for edge in bounds)})"
-
-
-def _dropped(counts: Mapping[str, Any]) -> str:
-    dropped = sum(counts["dropped"].values())
-    return f", {dropped:,} dropped" if dropped else ""
-
-
-def _marked(facts: Mapping[str, Any]) -> str:
-    return f", {facts['marked']:,} labels not certified" if facts["marked"] else ""
-
-
-def _reason(entry: Mapping[str, str]) -> str:
-    """The error of a file; most begin with its name, which the line has already."""
-    return entry["error"].removeprefix(f"{entry['path']}: ")
 
 
 def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None) -> list[str]:

@@ -41,7 +41,8 @@ def command(template: bool, **settings: Any) -> None:
     for name in (n for n in SETTINGS if n != LAST):
         if template:
             lines.append(f"# {describe_setting(SETTINGS[name])}")
-        lines.append(setting_line(name, config))
+        value = config.to_json()[name]
+        lines.append(f"# {name} =" if value is None else toml_line(name, value))
         if template:
             lines.append("")
     lines.extend(_parameter_lines(config, template))
@@ -55,12 +56,6 @@ def _preset_lines(name: str | None) -> list[str]:
         return []
     head = f"# Below, what the preset {name} sets is in effect unless it was overridden. The preset itself:"
     return ["#", head, *(f"#   {line}".rstrip() for line in preset_text(name).splitlines())]
-
-
-def setting_line(name: str, config: RunConfig) -> str:
-    """``name = value`` in TOML, commented out where there is no value."""
-    value = config.to_json()[name]
-    return f"# {name} =" if value is None else toml_line(name, value)
 
 
 def toml_line(name: str, value: Any) -> str:

@@ -37,24 +37,23 @@ def command(name: str | None, as_json: bool) -> None:
         print_json(facts)
         return
     for method, fact in facts.items():
-        rows = [_row(p) for p in fact["parameters"]]
+        rows = [
+            (
+                p["name"],
+                _text(p["default"]),
+                p["unit"],
+                range_text(p["minimum"], p["maximum"]),
+                p["source"],
+                p["help"],
+            )
+            for p in fact["parameters"]
+        ]
         print_table(f"{method}: {fact['summary']}", COLUMNS, rows)
 
 
 def parameter_facts(params: Any) -> list[dict[str, Any]]:
     """Name, default and metadata of each field of a parameter dataclass."""
     return [{"name": f.name, "default": f.default, **f.metadata} for f in dataclasses.fields(params)]
-
-
-def _row(fact: dict[str, Any]) -> tuple[str, ...]:
-    return (
-        fact["name"],
-        _text(fact["default"]),
-        fact["unit"],
-        range_text(fact["minimum"], fact["maximum"]),
-        fact["source"],
-        fact["help"],
-    )
 
 
 def _text(value: Any) -> str:

@@ -8,6 +8,7 @@ import click
 
 from cli import exit_codes
 from cli.output import say
+from cli.qgis import installation
 from cli.session import TilerCommand
 
 
@@ -38,8 +39,6 @@ def install(profile: str) -> None:
     An earlier version of it is replaced; a folder that is not the plugin's is left as it is, and that is an error. The
     plugin is told where this command is, and has its settings. After an update of tiler, do it again.
     """
-    from cli.qgis import installation
-
     folder = installation.install(profile)
     say(f"installed  {folder}")
     say(
@@ -57,7 +56,5 @@ def package(target: Path) -> None:
     QGIS installs it under Plugins > Manage and Install Plugins > Install from ZIP. There the plugin looks for tiler in
     PATH, unless its path is set under Settings > Options > Processing > Providers > tiler.
     """
-    from cli.qgis import installation
-
     installation.package(target)
     say(f"written  {target}; QGIS: Plugins > Manage and Install Plugins > Install from ZIP")

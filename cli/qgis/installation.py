@@ -92,13 +92,10 @@ def package(target: Path) -> None:
 def find_own_command() -> str:
     """The path of the command that runs. Raises ConfigError."""
     called = Path(sys.argv[0])
-    places = [called] if called.name == "tiler" else []
-    places.append(Path(sysconfig.get_path("scripts")) / "tiler")
-    for place in places:
-        if found := shutil.which(place.absolute()):
-            return str(found)
-    if found := shutil.which("tiler"):
-        return os.path.abspath(found)
+    own = [str(called.absolute())] if called.name == "tiler" else []
+    for place in (*own, os.path.join(sysconfig.get_path("scripts"), "tiler"), "tiler"):
+        if found := shutil.which(place):
+            return os.path.abspath(found)
     raise ConfigError(
         f"no command tiler beside {sys.executable}; install the package (pip install tiler-dtm)"
     )

@@ -37,11 +37,9 @@ class Run(Shell):
 
     def outputs(self) -> dict[str, Any]:
         """The folder, and what of it others can use."""
-        found = {
-            "DTM": results.raster(self._place, "dtm"),
-            "REPORT": results.existing(self._place, "report.html"),
-        }
-        return {"OUTPUT": self._place, **{name: path for name, path in found.items() if path}}
+        dtm, report = results.raster(self._place, "dtm"), results.existing(self._place, "report.html")
+        found = {"OUTPUT": self._place, "DTM": dtm, "REPORT": report}
+        return {name: path for name, path in found.items() if path}
 
     def postProcessAlgorithm(
         self, context: QgsProcessingContext, feedback: QgsProcessingFeedback
@@ -94,13 +92,10 @@ class ApplyEdits(Run):
                 "EDITS", "Corrections (polygons)", [QgsProcessing.TypeVectorPolygon]
             )
         )
-        clouds = QgsProcessingParameterMultipleLayers(
-            "INPUT",
-            "Point clouds of the run (empty: those that its run.json names)",
-            QgsProcessing.TypeFile,
-            optional=True,
+        label = "Point clouds of the run (empty: those that its run.json names)"
+        self.addParameter(
+            QgsProcessingParameterMultipleLayers("INPUT", label, QgsProcessing.TypeFile, optional=True)
         )
-        self.addParameter(clouds)
         super().add_outputs()
 
     def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
@@ -152,13 +147,6 @@ class Preview(Shell):
         self._page = write_page("preview", body)
         return {"OUTPUT": self._place, "PAGE": self._page}
 
-    def postProcessAlgorithm(
-        self, context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> dict[str, Any]:
-        """Show the page."""
-        self.show_page(self._page, context, feedback)
-        return {}
-
 
 class Classify(Shell):
     """``tiler classify``."""
@@ -199,10 +187,3 @@ class Check(Shell):
         """The page."""
         self._page = write_page("check", f"<pre>{html.escape(self._ended.text)}</pre>")
         return {"PAGE": self._page}
-
-    def postProcessAlgorithm(
-        self, context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> dict[str, Any]:
-        """Show the page."""
-        self.show_page(self._page, context, feedback)
-        return {}

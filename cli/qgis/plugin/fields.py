@@ -56,9 +56,7 @@ def _parameter(spec: dict[str, Any]) -> Any:
         return QgsProcessingParameterMultipleLayers(name, label, QgsProcessing.TypeFile, optional=True)
     if kind in ("cloud", "file"):
         filter = TABLE["cloud_files"] if kind == "cloud" else ALL_FILES
-        optional = not spec[
-            "required"
-        ]  # also with a default, which QGIS does not take for the value of a file
+        optional = not spec["required"]  # also with a default, which QGIS does not take for a file's value
         return QgsProcessingParameterFile(
             name, label, defaultValue=default, optional=optional, fileFilter=filter
         )
@@ -97,9 +95,8 @@ def _parameter(spec: dict[str, Any]) -> Any:
 
 def numbers_of_names(spec: dict[str, Any], value: Any) -> Any:
     """Places of choices in their list, from names or numbers in a list or behind commas; what is neither stays."""
-    items = (
-        value.split(",") if isinstance(value, str) else value if isinstance(value, (list, tuple)) else [value]
-    )
+    value = value.split(",") if isinstance(value, str) else value
+    items = value if isinstance(value, (list, tuple)) else [value]
     choices = spec["choices"]
     found = [choices.index(item) if item in choices else item for item in items]
     return [int(item) if str(item).isdecimal() else item for item in found]
@@ -113,23 +110,20 @@ def read_value(
 ) -> Any:
     """The value of a parameter as plain Python: paths absolute, None where it is not given; not of an extent."""
     name, kind = spec["name"], spec["kind"]
-    if parameters.get(name) is None:  # also of what has a default: the command has the same
-        return (
-            algorithm.parameterAsFileOutput(parameters, name, context)
-            if kind in ("new_picture", "new_cloud")
-            else None
-        )
+    given = parameters.get(name) is not None
+    if kind in ("new_picture", "new_cloud"):
+        path = algorithm.parameterAsFileOutput(parameters, name, context)
+        return absolute(path) if given else path
+    if not given:  # also of what has a default: the command has the same
+        return None
     if kind in ("clouds", "files"):
-        return [
-            absolute(str(path)) for path in algorithm.parameterAsFileList(parameters, name, context) if path
-        ]
+        paths = algorithm.parameterAsFileList(parameters, name, context)
+        return [absolute(str(path)) for path in paths if path]
     if kind in ("cloud", "new_folder", "new_plots"):
         return absolute(algorithm.parameterAsFile(parameters, name, context))
     if kind == "file":
         text = algorithm.parameterAsFile(parameters, name, context)
         return text if text in ("", "none", "auto") else absolute(text)
-    if kind in ("new_picture", "new_cloud"):
-        return absolute(algorithm.parameterAsFileOutput(parameters, name, context))
     if kind == "raster":
         layer = algorithm.parameterAsRasterLayer(parameters, name, context)
         return absolute(layer.source() if layer is not None else str(parameters[name]))

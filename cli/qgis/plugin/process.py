@@ -98,13 +98,9 @@ def options_of_config(command: str, config: dict[str, Any]) -> list[str]:
     found: list[str] = []
     for spec in TABLE["commands"][command]["parameters"]:
         key = spec["key"]
-        if (
-            key not in config
-            or key in ("preset", "overwrite", "force")
-            or config[key] == spec["config_default"]
-        ):
+        value = config.get(key, spec["config_default"])
+        if key in ("preset", "overwrite", "force") or value == spec["config_default"]:
             continue
-        value = config[key]
         if key == "parameters":
             value = [f"{name}={text}" for name, text in value]
         elif spec["kind"] == "classes" and not value:

@@ -99,27 +99,27 @@ def load_folder(
 
 def load_cloud(path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
     """Add a classified cloud to the project, where this QGIS can show one."""
-    provider = _provider_of(path)
     if context.project() is None:
         return
-    if not provider:
+    wanted = _cloud(path, path, Path(path).stem, True)
+    if wanted is None:
         feedback.pushWarning(
             f"{path}: is not added to the project, as this QGIS ({Qgis.QGIS_VERSION}) cannot show LAS and LAZ"
         )
-        return
-    wanted = Wanted(
-        path, Path(path).stem, lambda name: QgsPointCloudLayer(path, name, provider), styles.cloud, True
-    )
-    _add(path, "", "", 0, wanted, context)
+    else:
+        _add(path, "", "", 0, wanted, context)
 
 
-def _provider_of(path: str) -> str:
-    """What in this QGIS shows such a cloud; empty for nothing."""
+def _cloud(path: str, key: str, name: str, shown: bool) -> Wanted | None:
+    """The layer of a cloud, None where nothing in this QGIS shows such a one."""
     there = QgsProviderRegistry.instance().providerList()
     kinds = (
         ("vpc",) if path.endswith(".vpc") else ("copc", "pdal") if path.endswith(".copc.laz") else ("pdal",)
     )
-    return next((kind for kind in kinds if kind in there), "")
+    provider = next((kind for kind in kinds if kind in there), None)
+    if provider is None:
+        return None
+    return Wanted(key, name, lambda n: QgsPointCloudLayer(path, n, provider), styles.cloud, shown)
 
 
 def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
@@ -128,16 +128,10 @@ def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
 
     def vector(name: str, table: str, label: str, style: Callable[..., None]) -> None:
         path = existing(folder, f"{name}.gpkg")
-        if path and QgsVectorLayer(f"{path}|layername={table}", "", "ogr").isValid():
-            found.append(
-                Wanted(
-                    f"{name}:{table}",
-                    label,
-                    lambda n: QgsVectorLayer(f"{path}|layername={table}", n, "ogr"),
-                    style,
-                    True,
-                )
-            )
+        source = f"{path}|layername={table}"
+        if path and QgsVectorLayer(source, "", "ogr").isValid():
+            key = f"{name}:{table}"
+            found.append(Wanted(key, label, lambda n: QgsVectorLayer(source, n, "ogr"), style, True))
 
     _make_edits(folder, feedback)
     for table in _tables(existing(folder, "edits.gpkg")):
@@ -196,17 +190,14 @@ def _add_clouds(
     path = existing(folder, "classified.vpc")
     if not path:
         return
-    provider = _provider_of(path)
-    if not provider:
+    wanted = _cloud(path, "clouds", "classified clouds", False)
+    if wanted is None:
         feedback.pushInfo(
             f"{path}: the classified clouds as one layer, for QGIS 3.32 or newer; this one "
             f"({Qgis.QGIS_VERSION}) cannot show it"
         )
-        return
-    wanted = Wanted(
-        "clouds", "classified clouds", lambda n: QgsPointCloudLayer(path, n, provider), styles.cloud, False
-    )
-    _add(f"{folder}|clouds", folder, title, LOWEST, wanted, context)
+    else:
+        _add(f"{folder}|clouds", folder, title, LOWEST, wanted, context)
 
 
 def _add(key: str, folder: str, title: str, rank: int, wanted: Wanted, context: QgsProcessingContext) -> None:

@@ -108,8 +108,8 @@ class Shell(QgsProcessingAlgorithm):
             self._arguments = self.make_arguments(parameters, context)
         except CommandError as error:
             raise QgsProcessingException(str(error)) from error
-        self._load = LOAD in parameters or self.parameterDefinition(LOAD) is not None
-        self._load = self._load and self.parameterAsBool(parameters, LOAD, context)
+        has_load = LOAD in parameters or self.parameterDefinition(LOAD) is not None
+        self._load = has_load and self.parameterAsBool(parameters, LOAD, context)
         return True
 
     def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
@@ -123,7 +123,8 @@ class Shell(QgsProcessingAlgorithm):
                 continue
             value = read_value(self, spec, parameters, context)
             if spec["kind"] == "clouds":
-                value = [*(value or []), *self._folder(parameters, context)]
+                folder = self.parameterAsFile(parameters, FOLDER, context)
+                value = [*(value or []), *([absolute(folder)] if folder else [])]
                 if not value:
                     raise CommandError("no clouds: name files or a folder")
                 places = value + places
@@ -138,10 +139,6 @@ class Shell(QgsProcessingAlgorithm):
         if extent and parameters.get(extent[0]):
             arguments += [extent[1], *self._edges(extent[0], parameters, context, [*arguments, *places])]
         return [*arguments, *places]
-
-    def _folder(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
-        folder = self.parameterAsFile(parameters, FOLDER, context)
-        return [absolute(folder)] if folder else []
 
     def _edges(
         self, name: str, parameters: dict[str, Any], context: QgsProcessingContext, command: list[str]
@@ -193,6 +190,13 @@ class Shell(QgsProcessingAlgorithm):
     def outputs(self) -> dict[str, Any]:
         """What the algorithm gives."""
         return {"OUTPUT": self._place}
+
+    def postProcessAlgorithm(
+        self, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> dict[str, Any]:
+        """Show the page, if there is one."""
+        self.show_page(self._page, context, feedback)
+        return {}
 
     def show_page(self, path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
         """Put a page into the viewer of results.

@@ -86,14 +86,16 @@ def shade(layer: Any) -> None:
     """The terrain as a hillshade that darkens what lies beneath."""
     renderer = QgsHillshadeRenderer(layer.dataProvider(), 1, 315.0, 45.0)
     renderer.setMultiDirectional(True)
-    layer.setRenderer(renderer)
-    layer.brightnessFilter().setBrightness(BRIGHTER)
-    layer.setBlendMode(QPainter.CompositionMode.CompositionMode_Multiply)
+    _darken(layer, renderer)
 
 
 def grey_shade(layer: Any) -> None:
     """A hillshade that is a file."""
-    renderer = QgsSingleBandGrayRenderer(layer.dataProvider(), 1)
+    _darken(layer, QgsSingleBandGrayRenderer(layer.dataProvider(), 1))
+
+
+def _darken(layer: Any, renderer: Any) -> None:
+    """Draw a hillshade so that it darkens what lies beneath."""
     layer.setRenderer(renderer)
     layer.brightnessFilter().setBrightness(BRIGHTER)
     layer.setBlendMode(QPainter.CompositionMode.CompositionMode_Multiply)
@@ -120,28 +122,30 @@ def cloud(layer: Any) -> None:
 
 def outline(layer: Any) -> None:
     """A line, nothing inside."""
-    style = {"color": "0,0,0,0", "outline_color": "#222222", "outline_width": "0.5", "outline_style": "dash"}
-    layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(style)))
+    _fill(layer, "0,0,0,0", "#222222", "0.5", outline_style="dash")
 
 
 def bridges(layer: Any) -> None:
     """Red, as they are not in the terrain."""
-    style = {"color": "209,73,91,60", "outline_color": "#d1495b", "outline_width": "0.4"}
-    layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(style)))
+    _fill(layer, "209,73,91,60", "#d1495b", "0.4")
 
 
 def water(layer: Any) -> None:
     """Blue; in the form the kind is a list."""
-    style = {"color": "70,130,200,120", "outline_color": "#2a6f97", "outline_width": "0.3"}
-    layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(style)))
+    _fill(layer, "70,130,200,120", "#2a6f97", "0.3")
     _list(layer, "kind", {kind: kind for kind in WATERS})
+
+
+def _fill(layer: Any, inside: str, line: str, width: str, **more: str) -> None:
+    """Draw polygons in two colours."""
+    style = {"color": inside, "outline_color": line, "outline_width": width, **more}
+    layer.setRenderer(QgsSingleSymbolRenderer(QgsFillSymbol.createSimple(style)))
 
 
 def flow(layer: Any) -> None:
     """Along the middle of rivers."""
-    layer.setRenderer(
-        QgsSingleSymbolRenderer(QgsLineSymbol.createSimple({"color": "#1d4e89", "width": "0.4"}))
-    )
+    line = QgsLineSymbol.createSimple({"color": "#1d4e89", "width": "0.4"})
+    layer.setRenderer(QgsSingleSymbolRenderer(line))
 
 
 def contours(layer: Any) -> None:
@@ -166,23 +170,16 @@ def edits(layer: Any) -> None:
     """By action; in the form this is a list, and z has a name."""
     categories = []
     for action, (label, colour) in ACTIONS.items():
-        fill = QColor(colour)
-        style = {
-            "color": f"{fill.red()},{fill.green()},{fill.blue()},70",
-            "outline_color": colour,
-            "outline_width": "0.5",
-        }
+        inside = ",".join(str(part) for part in QColor(colour).getRgb()[:3])
+        style = {"color": f"{inside},70", "outline_color": colour, "outline_width": "0.5"}
         categories.append(QgsRendererCategory(action, QgsFillSymbol.createSimple(style), label))
     layer.setRenderer(QgsCategorizedSymbolRenderer("action", categories))
     _list(layer, "action", {label: action for action, (label, _) in ACTIONS.items()})
-    place = layer.fields().indexOf("action")
-    if place >= 0:
+    if (place := layer.fields().indexOf("action")) >= 0:
         layer.setDefaultValueDefinition(place, QgsDefaultValue("'not_ground'"))
-    place = layer.fields().indexOf("z")
-    if place >= 0:
+    if (place := layer.fields().indexOf("z")) >= 0:
         layer.setFieldAlias(place, "z: height, for flat")
-    place = layer.fields().indexOf("fid")
-    if place >= 0:
+    if (place := layer.fields().indexOf("fid")) >= 0:
         layer.setEditorWidgetSetup(place, QgsEditorWidgetSetup("Hidden", {}))
 
 
