@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeVar
 
 from tiler.core.nodata import parse_nodata
 from tiler.core.sheet_names import check_template
 from tiler.core.units import FARTHEST, parse_area, parse_length
 from tiler.errors import ConfigError
+
+Value = TypeVar("Value")
 
 _BYTES = {"": 1, "b": 1, "k": 1000, "kb": 1000, "kib": 1024, "m": 10**6, "mb": 10**6, "mib": 1 << 20,
           "g": 10**9, "gb": 10**9, "gib": 1 << 30, "t": 10**12, "tb": 10**12, "tib": 1 << 40}  # fmt: skip
@@ -83,18 +84,16 @@ def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
     return tuple(pairs)
 
 
-@contextmanager
-def _named(name: str) -> Iterator[None]:
-    """Say of which setting an error is."""
+def _named(name: str, parse: Callable[[Any], Value], value: Any) -> Value:
+    """What a parser makes of a value; an error says of which setting it is."""
     try:
-        yield
+        return parse(value)
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}") from error
 
 
 def _positive_length(name: str, value: Any) -> Fraction:
-    with _named(name):
-        length = parse_length(value)
+    length = _named(name, parse_length, value)
     if length < 0 or (length == 0 and name not in ("halo", "erode", "contour_smooth")):
         raise ConfigError(f"{name} {value}: must be above 0")
     return length
@@ -122,6 +121,17 @@ def parse_files(name: str, value: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(files))
 
 
+Parser = Callable[[Any], Any]
+_NAMED_PARSERS: dict[str, Parser] = {"area": parse_area, "bytes": parse_bytes, "classes": parse_classes}
+_PARSERS: dict[str, Parser] = {
+    "nodata": parse_nodata,
+    "surface": parse_surface,
+    "pairs": parse_pairs,
+    "bounds": _bounds,
+}
+"""By kind of setting; those of the first table do not name it."""
+
+
 def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
     """One plain value as its field of `RunConfig` wants it, by the field's ``kind``; raises ConfigError."""
     kind = spec.metadata["kind"]
@@ -131,29 +141,16 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
         return None
     if kind == "length":
         return _positive_length(spec.name, value)
-    if kind == "area":
-        with _named(spec.name):
-            return parse_area(value)
-    if kind == "bytes":
-        with _named(spec.name):
-            return parse_bytes(value)
-    if kind == "classes":
-        with _named(spec.name):
-            return parse_classes(value)
-    if kind == "nodata":
-        return parse_nodata(value)
-    if kind == "surface":
-        return parse_surface(value)
+    if kind in _NAMED_PARSERS:
+        return _named(spec.name, _NAMED_PARSERS[kind], value)
+    if kind in _PARSERS:
+        return _PARSERS[kind](value)
     if kind == "names":
         if not isinstance(value, str | list | tuple):
             raise ConfigError(f"{spec.name} {value!r}: must be names with commas")
         return parse_names(spec.name, value, spec.metadata["choices"])
-    if kind == "pairs":
-        return parse_pairs(value)
     if kind == "files":
         return parse_files(spec.name, value)
-    if kind == "bounds":
-        return _bounds(value)
     if kind == "template" and isinstance(value, str):
         return check_template(value)
     if kind == "int" and (not isinstance(value, int) or isinstance(value, bool) or value < 1):

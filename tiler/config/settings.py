@@ -9,6 +9,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 from tiler.config.parsing import parse_value, plain_value
@@ -22,11 +23,24 @@ NO_WATER, AUTO_WATER = "none", "auto"
 """Values of `RunConfig.water` that are no files."""
 
 
+UNITS = {"length": "m", "area": "m2", "bytes": "bytes"}
+"""Of the kinds of settings that have one."""
+
+
 def setting(
     default: Any, help: str, *, unit: str = "", kind: str = "text", choices: tuple[str, ...] = ()
 ) -> Any:
-    """A field of `RunConfig` with what people need to know about it."""
-    return field(default=default, metadata={"help": help, "unit": unit, "kind": kind, "choices": choices})
+    """A field of `RunConfig` with what people need to know about it; of some ``choices``, it is one of them."""
+    if choices and kind == "text":
+        kind = "choice"
+    facts = {"help": help, "unit": unit or UNITS.get(kind, ""), "kind": kind, "choices": choices}
+    return field(default=default, metadata=facts)
+
+
+# Settings of the kinds that several are of.
+length, area, flag = (partial(setting, kind=kind) for kind in ("length", "area", "flag"))
+whole, classes = partial(setting, kind="int"), partial(setting, kind="classes")
+file, files = partial(setting, kind="file"), partial(setting, kind="files")
 
 
 @dataclass(frozen=True)
@@ -34,213 +48,197 @@ class RunConfig:
     """Everything that a run can be told; ``None`` means "decide from the data, and say so"."""
 
     preset: str | None = setting(
-        None, "settings to start from: " + ", ".join(preset_names()) + "; those of --config and then those of the "
-        "command line win; `tiler config --preset NAME` shows them", kind="preset",
-    )  # fmt: skip
+        None,
+        f"settings to start from: {', '.join(preset_names())}; those of --config and then those of the command line "
+        "win; `tiler config --preset NAME` shows them",
+        kind="preset",
+    )
     method: str = setting("auto", "ground filter (see `tiler methods`); `keep` trusts the input's classes")
     parameters: tuple[tuple[str, str], ...] = setting(
         (), "parameters of the method, name=value (`tiler methods NAME` lists them)", kind="pairs"
     )
-    ground_classes: tuple[int, ...] = setting(
-        (2,), "classes of the input that `--method keep` takes as ground", kind="classes"
+    ground_classes: tuple[int, ...] = classes(
+        (2,), "classes of the input that `--method keep` takes as ground"
     )
     products: tuple[str, ...] = setting(
-        ("dtm",), "rasters to write, each as OUT/<name>.tif: dtm, dsm (surface), ndsm (surface above the terrain), "
-        "hillshade, slope (degrees), density (ground points per m2), distance (to the nearest ground point, m), mask "
-        "(where heights come from); as OUT/<name>.gpkg: contours (lines), spots (tops and bottoms)", kind="names",
+        ("dtm",),
+        "rasters to write, each as OUT/<name>.tif: dtm, dsm (surface), ndsm (surface above the terrain), hillshade, "
+        "slope (degrees), density (ground points per m2), distance (to the nearest ground point, m), mask (where "
+        "heights come from); as OUT/<name>.gpkg: contours (lines), spots (tops and bottoms)",
+        kind="names",
         choices=(*PRODUCTS, *DRAWN),
-    )  # fmt: skip
-    sheets: Fraction | None = setting(
+    )
+    sheets: Fraction | None = length(
         None,
-        "side of the sheets into which each product is cut: files "
-        "OUT/<product>/<sheet-name>.tif below OUT/<product>.vrt, listed in "
-        "OUT/sheets.gpkg; default: one file",
-        unit="m",
-        kind="length",
+        "side of the sheets into which each product is cut: files OUT/<product>/<sheet-name>.tif below "
+        "OUT/<product>.vrt, listed in OUT/sheets.gpkg; default: one file",
     )
     sheet_name: str = setting(
-        SHEET_NAME, "name of a sheet's file without its ending; fields: name (product), x and y (west and south edge), "
-        "east and north, in units of the CRS, and x_km, y_km, east_km, north_km in thousands of them, with a format "
-        "where wanted: {x_km:04.0f}", kind="template",
-    )  # fmt: skip
-    resolution: Fraction | None = setting(
-        None,
-        "pixel size; default 1 m, or the spacing of the ground where that is coarser",
-        unit="m",
-        kind="length",
+        SHEET_NAME,
+        "name of a sheet's file without its ending; fields: name (product), x and y (west and south edge), east and "
+        "north, in units of the CRS, and x_km, y_km, east_km, north_km in thousands of them, with a format where "
+        "wanted: {x_km:04.0f}",
+        kind="template",
     )
-    tile_size: Fraction | None = setting(
-        None, "side of a filter tile; default from density and memory", unit="m", kind="length"
+    resolution: Fraction | None = length(
+        None, "pixel size; default 1 m, or the spacing of the ground where that is coarser"
     )
-    halo: Fraction | None = setting(
-        None, "how far beyond its tile the filter looks; default from the method", unit="m", kind="length"
+    tile_size: Fraction | None = length(None, "side of a filter tile; default from density and memory")
+    halo: Fraction | None = length(None, "how far beyond its tile the filter looks; default from the method")
+    max_edge: Fraction = length(
+        Fraction(100),
+        "a pixel has no height where the triangle of ground points around it has a longer edge, or the circle "
+        "through its corners a larger radius",
     )
-    max_edge: Fraction = setting(
-        Fraction(100), "a pixel has no height where the triangle of ground points around it has a longer edge, or the "
-        "circle through its corners a larger radius", unit="m", kind="length",
-    )  # fmt: skip
     interpolation: str = setting(
         "linear",
-        "heights between ground points: linear on the TIN, natural neighbours, or "
-        "idw (12 nearest, 1 / squared distance); all give heights to the same pixels",
-        kind="choice",
+        "heights between ground points: linear on the TIN, natural neighbours, or idw (12 nearest, 1 / squared "
+        "distance); all give heights to the same pixels",
         choices=("linear", "natural", "idw"),
     )
     surface: str | None = setting(
         None,
-        "which ground points make the DTM: all of them, or in each cell of half a pixel the one at the median or at a "
-        "percentile (p10) of the cell's heights; default: all, or the "
-        "median where the cloud is taken for image matching",
+        "which ground points make the DTM: all of them, or in each cell of half a pixel the one at the median or at "
+        "a percentile (p10) of the cell's heights; default: all, or the median where the cloud is taken for image "
+        "matching",
         kind="surface",
     )
-    erode: Fraction | None = setting(
+    erode: Fraction | None = length(
         None,
-        "leave out ground points nearer than this to an object at least 1 m higher, "
-        "such as stumps of walls in image matching; default: 0, or 0.5 m where the cloud "
-        "is taken for image matching",
-        unit="m",
-        kind="length",
+        "leave out ground points nearer than this to an object at least 1 m higher, such as stumps of walls in "
+        "image matching; default: 0, or 0.5 m where the cloud is taken for image matching",
     )
     voids: str = setting(
         "leave",
-        "holes inside the survey that are wider than `max-edge`: leave (no heights), fill "
-        "(from their rim), or mark (fill, and write the mask)",
-        kind="choice",
+        "holes inside the survey that are wider than `max-edge`: leave (no heights), fill (from their rim), or mark "
+        "(fill, and write the mask)",
         choices=("leave", "fill", "mark"),
     )
-    breaklines: tuple[str, ...] = setting(
-        (), "file of lines in 3D, or with a height in a column (z, elevation), in any CRS, that the terrain follows; "
-        "ground nearer to them than half a pixel is left out", kind="files",
-    )  # fmt: skip
-    edits: str | None = setting(
-        None, "file of polygons, in any CRS, with a column `action`: not_ground (no point inside is ground), ground "
-        "(the points inside that the input has as ground, or where it has none the lowest of each pixel), void (no "
-        "height), flat (the height in the column z); default: none", kind="file",
-    )  # fmt: skip
-    water: str = setting(
-        AUTO_WATER, "bodies of water, level in the terrain (lakes) or falling along their flow (rivers): none, auto "
-        "(found in the data), or a file, in any CRS, of polygons and, where wanted, columns kind (lake, river) and "
-        "level, and of lines along which rivers flow", kind="file",
-    )  # fmt: skip
-    water_min_lake: Fraction = setting(
-        Fraction(8000), "smallest lake or pond that `--water auto` takes (8000, 0.8ha, 2acre)", unit="m2",
-        kind="area",
-    )  # fmt: skip
-    water_min_river_width: Fraction = setting(
-        Fraction(15),
-        "narrowest river or canal, by its mean width, that `--water auto` takes",
-        unit="m",
-        kind="length",
+    breaklines: tuple[str, ...] = files(
+        (),
+        "file of lines in 3D, or with a height in a column (z, elevation), in any CRS, that the terrain follows; "
+        "ground nearer to them than half a pixel is left out",
     )
-    water_min_island: Fraction = setting(
-        Fraction(1000),
-        "smallest island that `--water auto` keeps; smaller ones become water",
-        unit="m2",
-        kind="area",
+    edits: str | None = file(
+        None,
+        "file of polygons, in any CRS, with a column `action`: not_ground (no point inside is ground), ground (the "
+        "points inside that the input has as ground, or where it has none the lowest of each pixel), void (no "
+        "height), flat (the height in the column z); default: none",
+    )
+    water: str = file(
+        AUTO_WATER,
+        "bodies of water, level in the terrain (lakes) or falling along their flow (rivers): none, auto (found in "
+        "the data), or a file, in any CRS, of polygons and, where wanted, columns kind (lake, river) and level, and "
+        "of lines along which rivers flow",
+    )
+    water_min_lake: Fraction = area(
+        Fraction(8000), "smallest lake or pond that `--water auto` takes (8000, 0.8ha, 2acre)"
+    )
+    water_min_river_width: Fraction = length(
+        Fraction(15), "narrowest river or canal, by its mean width, that `--water auto` takes"
+    )
+    water_min_island: Fraction = area(
+        Fraction(1000), "smallest island that `--water auto` keeps; smaller ones become water"
     )
     bridges: str = setting(
-        "keep", "decks of bridges that the filter left in the terrain: keep, or remove (those that stand free, the "
-        "ground 2 m lower beside both edges and a road at both ends, get class 17; OUT/bridges.gpkg shows them)",
-        kind="choice", choices=("keep", "remove"),
-    )  # fmt: skip
-    contour_interval: Fraction | None = setting(
-        None, "difference of height between contours; default: a round number of the CRS's unit that gives 50 levels "
-        "at most", unit="m", kind="length",
-    )  # fmt: skip
-    contour_smooth: Fraction | None = setting(
-        None, "smooth the heights for the contours by a Gaussian of this standard deviation; 0: not at all; default: "
-        "2 pixels", unit="m", kind="length",
-    )  # fmt: skip
+        "keep",
+        "decks of bridges that the filter left in the terrain: keep, or remove (those that stand free, the ground 2 "
+        "m lower beside both edges and a road at both ends, get class 17; OUT/bridges.gpkg shows them)",
+        choices=("keep", "remove"),
+    )
+    contour_interval: Fraction | None = length(
+        None,
+        "difference of height between contours; default: a round number of the CRS's unit that gives 50 levels at "
+        "most",
+    )
+    contour_smooth: Fraction | None = length(
+        None,
+        "smooth the heights for the contours by a Gaussian of this standard deviation; 0: not at all; default: 2 "
+        "pixels",
+    )
     classified: str = setting(
-        "laz", "the points with their new classes, OUT/classified: laz, las (larger, quicker to read), copc (by place, "
-        "not in the order of the input: other programs draw it at once and read parts of it), or none",
-        kind="choice", choices=("laz", "las", "copc", "none"),
-    )  # fmt: skip
+        "laz",
+        "the points with their new classes, OUT/classified: laz, las (larger, quicker to read), copc (by place, not "
+        "in the order of the input: other programs draw it at once and read parts of it), or none",
+        choices=("laz", "las", "copc", "none"),
+    )
     outline: str = setting(
         "survey",
-        "where heights end: at the survey, the places with points and gaps of up to 20 m "
-        "between them (more where points are sparse), or at the hull of facets up to `max-edge`",
-        kind="choice",
+        "where heights end: at the survey, the places with points and gaps of up to 20 m between them (more where "
+        "points are sparse), or at the hull of facets up to `max-edge`",
         choices=("survey", "hull"),
     )
-    spike: Fraction = setting(
+    spike: Fraction = length(
         Fraction(5),
-        "the DSM leaves out a pixel's highest return if it rises this far above "
-        "all returns around it (next pixels, at least 1 m)",
-        unit="m",
-        kind="length",
+        "the DSM leaves out a pixel's highest return if it rises this far above all returns around it (next pixels, "
+        "at least 1 m)",
     )
     memory: int | None = setting(
         None,
-        "memory that one worker may use; default: half of that of the machine or container, divided by the workers, 4 "
-        "GiB at most",
-        unit="bytes",
+        "memory that one worker may use; default: half of that of the machine or container, divided by the workers, "
+        "4 GiB at most",
         kind="bytes",
     )
-    workers: int | None = setting(None, "worker processes, one thread each; default: cores", kind="int")
-    in_process: bool = setting(
-        False,
-        "work in the command's own process, for debugging: whatever crashes it ends the run",
-        kind="flag",
+    workers: int | None = whole(None, "worker processes, one thread each; default: cores")
+    in_process: bool = flag(
+        False, "work in the command's own process, for debugging: whatever crashes it ends the run"
     )
-    task_seconds: int = setting(
-        600, "time for a task of up to a million points, in proportion for a larger one; a worker that takes longer "
-        "counts as hung and is replaced", unit="s", kind="int",
-    )  # fmt: skip
+    task_seconds: int = whole(
+        600,
+        "time for a task of up to a million points, in proportion for a larger one; a worker that takes longer "
+        "counts as hung and is replaced",
+        unit="s",
+    )
     scheduler: str | None = setting(
         None, "address of a running Dask scheduler (tcp://host:8786); default: workers on this machine"
     )
     store: str | None = setting(None, "where the tile store lies; default OUT/store.zarr")
     crs: str | None = setting(
         None,
-        "CRS of files that have none (EPSG:..., WKT; a compound one like EPSG:2154+5720 also gives its heights' datum "
-        "to files that name EPSG:2154 alone), or `none`: unknown, metres "
-        "assumed; default: a file without CRS is an error",
+        "CRS of files that have none (EPSG:..., WKT; a compound one like EPSG:2154+5720 also gives its heights' "
+        "datum to files that name EPSG:2154 alone), or `none`: unknown, metres assumed; default: a file without CRS "
+        "is an error",
     )
     units: str | None = setting(
         None, "units of the coordinates, h or h,v (m, ft, usft); default: those of the CRS"
     )
     bounds: tuple[float, float, float, float] | None = setting(
         None,
-        "only this part: X0 Y0 X1 Y1 in CRS units; "
-        "what lies around it is read as far as it matters; "
-        "default: everything",
+        "only this part: X0 Y0 X1 Y1 in CRS units; what lies around it is read as far as it matters; default: "
+        "everything",
         kind="bounds",
     )
-    aoi: str | None = setting(
+    aoi: str | None = file(
         None,
-        "only what lies inside the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; as with --bounds, what "
-        "lies around them is read as far as it matters; default: everything",
-        kind="file",
+        "only what lies inside the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; as with --bounds, "
+        "what lies around them is read as far as it matters; default: everything",
     )
-    keep_classes: tuple[int, ...] = setting(
+    keep_classes: tuple[int, ...] = classes(
         (7, 9, 17, 18),
-        "classes that take no part in filtering and are "
-        "never overwritten; `none`: the classes of the input are ignored, as a fair "
-        "test on a labelled cloud needs",
-        kind="classes",
+        "classes that take no part in filtering and are never overwritten; `none`: the classes of the input are "
+        "ignored, as a fair test on a labelled cloud needs",
     )
-    skip_synthetic: bool = setting(
-        False, "points flagged as synthetic take no part in filtering and keep their class", kind="flag"
+    skip_synthetic: bool = flag(
+        False, "points flagged as synthetic take no part in filtering and keep their class"
     )
-    skip_overlap: bool = setting(
-        False, "points flagged as overlap take no part in filtering and keep their class", kind="flag"
+    skip_overlap: bool = flag(
+        False, "points flagged as overlap take no part in filtering and keep their class"
     )
-    sigma: Fraction | None = setting(
+    sigma: Fraction | None = length(
         None,
-        "standard deviation of the noise of heights, for methods that need it; default: "
-        "estimated from planar patches",
-        unit="m",
-        kind="length",
+        "standard deviation of the noise of heights, for methods that need it; default: estimated from planar "
+        "patches",
     )
     kind: str | None = setting(
-        None, "what made the cloud, a laser scanner (als) or matching of images from drones or aircraft (dim), for "
-        "methods that treat them differently; default: decided from the data", kind="choice", choices=("als", "dim"),
-    )  # fmt: skip
+        None,
+        "what made the cloud, a laser scanner (als) or matching of images from drones or aircraft (dim), for "
+        "methods that treat them differently; default: decided from the data",
+        choices=("als", "dim"),
+    )
     statistics: str | None = setting(
         None,
-        "OUT folder of an earlier run of the same method: use the noise and the thresholds that it measured; default: "
-        "measure those of this run's own points",
+        "OUT folder of an earlier run of the same method: use the noise and the thresholds that it measured; "
+        "default: measure those of this run's own points",
     )
     nodata: float = setting(
         NODATA,
@@ -248,22 +246,17 @@ class RunConfig:
         unit="as the raster",
         kind="nodata",
     )
-    compress: str = setting("deflate", "compression of rasters", kind="choice", choices=("deflate", "zstd"))
+    compress: str = setting("deflate", "compression of rasters", choices=("deflate", "zstd"))
     on_error: str = setting(
         "skip",
         "what becomes of a broken file or tile: skip it (exit code 5), or stop the run",
-        kind="choice",
         choices=("skip", "stop"),
     )
-    salvage: bool = setting(
-        False, "read what is left of a truncated file instead of leaving it out", kind="flag"
-    )
-    verify: bool = setting(
-        False, "read all inputs and outputs again to see whether they changed", kind="flag"
-    )
-    overwrite: bool = setting(False, "start afresh instead of resuming with what OUT holds", kind="flag")
-    force: bool = setting(False, "replace files in OUT that no run of this OUT wrote", kind="flag")
-    clean_store: bool = setting(False, "remove the store when the run is done", kind="flag")
+    salvage: bool = flag(False, "read what is left of a truncated file instead of leaving it out")
+    verify: bool = flag(False, "read all inputs and outputs again to see whether they changed")
+    overwrite: bool = flag(False, "start afresh instead of resuming with what OUT holds")
+    force: bool = flag(False, "replace files in OUT that no run of this OUT wrote")
+    clean_store: bool = flag(False, "remove the store when the run is done")
 
     @property
     def surface_percent(self) -> int | None:
