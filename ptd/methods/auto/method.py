@@ -20,7 +20,8 @@ roofs
     ground that is connected, at most 200 m wide, and above nearly all ground that is seen around it is a roof
     (`ptd.ground.plateaus`); four times, as lower roofs lean on higher ones.
 label
-    each point against the TIN of the ground that is left, by its height.
+    the TIN of the ground that is left takes in once what fits within half the distance and half the angle of `densify`;
+    then each point is judged against it by its height.
 
 ====================  ==========================  ========  ============================================================
 parameter             origin                      default   reason
@@ -74,7 +75,7 @@ from ptd.matched.survey import Seen
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
 from ptd.methods.auto.label_thresholds import decided, label_thresholds
 from ptd.methods.auto.objects import Lowest
-from ptd.methods.auto.params import RING_M, AutoParameters
+from ptd.methods.auto.params import REGROWTH, RING_M, AutoParameters
 from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
 from ptd.tin.mesh import Tin
 
@@ -262,7 +263,7 @@ class LabelPass(LaserPass):
     columns: tuple[str, ...] = ("labels",)
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Labels:
-        """Build the TIN."""
+        """Build the TIN, and let it take back edges that were cut with objects."""
         p = self.params
         cells = Cells.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
@@ -270,7 +271,10 @@ class LabelPass(LaserPass):
         noise = LowNoise(x[low], y[low], z[low], cells)
         if not ground.any():
             return Labels(None, noise, window.closed, {"vertices": 0})
-        tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale, spare=0)
+        tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale)
+        refused = (codes == OUTLIER) | (codes == ROOF)
+        todo = np.where(ground, VERTEX, np.where(refused, REFUSED, WAITING)).astype(np.uint8)
+        densify(tin, x, y, z, todo, p.limits(scale, REGROWTH), 1, doubt)
         in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
         s = label_thresholds(p, state["survey"])
         floor, per_slope = scale.counts(s.label_floor_m), scale.counts(s.label_slope_m)
@@ -294,10 +298,8 @@ class Labels(Model):
         return labels, np.full(len(points), self._closed)
 
 
-def first_tin(
-    x: Int32, y: Int32, z: Int32, chosen: Bool, known: Window, scale: Scale, spare: int | None = None
-) -> tuple[Tin, Doubt]:
-    """TIN of the chosen points (at least one) and the ring of virtual ones, with room for all or ``spare`` more.
+def first_tin(x: Int32, y: Int32, z: Int32, chosen: Bool, known: Window, scale: Scale) -> tuple[Tin, Doubt]:
+    """TIN of the chosen points (at least one) and the ring of virtual ones, with room for all.
 
     What is chosen within the known window is certain.
     """
@@ -305,8 +307,7 @@ def first_tin(
     doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
     ring = choose_seeds(x, y, z, chosen, cells, doubt).virtual
     corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]
-    room = x.size + len(ring) if spare is None else corners[0].size + spare
-    return Tin.build(*corners, max_vertices=room), doubt
+    return Tin.build(*corners, max_vertices=x.size + len(ring)), doubt
 
 
 METHOD = Method(

@@ -10,9 +10,10 @@ import pytest
 import ptd
 from ptd.frame import Window
 from ptd.ground import blocks
+from ptd.ground.labelling import GROUND
 from ptd.ground.roughness import Roughness
 from ptd.methods.auto.label_thresholds import Seen, decided, label_thresholds
-from ptd.methods.auto.method import OBJECT, Auto
+from ptd.methods.auto.method import OBJECT, ROOF, Auto
 from ptd.methods.auto.params import Reaches
 from ptd.passes import Points
 from tests.ptd.scenes import SCENES
@@ -67,6 +68,24 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
         "roofs4",
         "label",
     ]
+
+
+@pytest.mark.parametrize(
+    ("code", "rise_m", "back"), [(OBJECT, 0.5, True), (OBJECT, 1.0, False), (ROOF, 0.5, False)]
+)
+def test_the_last_tin_takes_back_edges_that_fit_and_no_roofs(code: int, rise_m: float, back: bool) -> None:
+    """A bank 6 m wide in level ground, half as high and as steep as ground may grow, or higher, or a roof."""
+    x, y = (c.reshape(-1) for c in np.meshgrid(np.arange(40) + 0.5, np.arange(40) + 0.5))
+    bank = abs(x - 20) < 3
+    z = np.where(abs(x - 20) < 1, rise_m, np.where(bank, 0.5 * rise_m, 0.0))
+    counts = np.round(np.stack([x, y, z]) * 100).astype(np.int32)
+    cloud = Points(counts, np.where(bank, code, GROUND).astype(np.uint8))
+    state = {"survey": {"kind": "lidar", "density_m2": 1.0, "label_sigma_m": None}}
+    window = Window.everything()
+    label = next(p for p in Auto().passes if p.name == "label")
+    labels, _ = label.fit(cloud, window, window, SCALE, state).label(cloud)
+    assert (labels[~bank] == GROUND).all()
+    assert ((labels == GROUND)[abs(x - 20) < 1] == back).all()
 
 
 def test_a_window_without_ground_knows_nothing() -> None:
