@@ -8,8 +8,8 @@ from tiler.export.legend import write_legend
 from tiler.export.mosaic import write_mosaic
 from tiler.export.outline import write_outline
 from tiler.export.sheet_index import write_sheet_index
-from tiler.export.text import write_text
 from tiler.export.water import write_water
+from tiler.export.whole_files import write_text
 from tiler.export.work import (
     WriteBridges,
     WriteClassified,

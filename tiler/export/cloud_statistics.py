@@ -50,19 +50,16 @@ class CloudStatistics:
         if "gps_time" in names and self._header.global_encoding & 1:
             times = records["gps_time"][np.isfinite(records["gps_time"])]
             if times.size:
-                self._times = [
-                    min([float(times.min()), *self._times]),
-                    max([float(times.max()), *self._times]),
-                ]
+                known = [float(times.min()), float(times.max()), *self._times]
+                self._times = [min(known), max(known)]
 
     def to_json(self) -> dict[str, Any]:
         """``fields`` (name to ``minimum``, ``maximum``, ``average``, ``variance``), ``gps`` (adjusted standard times).
 
         Coordinates are those of the CRS, other fields as they are stored. ``gps`` is None where no time is known.
         """
-        scales = dict(
-            zip(COORDINATES, zip(self._header.scales, self._header.offsets, strict=True), strict=True)
-        )
+        header = self._header
+        scales = dict(zip(COORDINATES, zip(header.scales, header.offsets, strict=True), strict=True))
         fields = {}
         for name, (low, high, total, squares) in self._sums.items() if self.points else ():
             scale, offset = scales.get(name, (1.0, 0.0))

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import rasterio
 import rasterio.shutil
+from rasterio.windows import Window
 
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.products import HEIGHT, PRODUCTS, Product
@@ -25,9 +26,8 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.geotiff import CACHE_MB, RasterLook, plain_geotiff, raster_errors
+from tiler.export.whole_files import new_file
 from tiler.export.work import ProductFile, WriteCog
-from tiler.io.cloud_reading import digest_of_file
-from tiler.io.locations import cloud_path, folder_for, joined, state_of
 from tiler.io.partial_files import partial_path, sync_folder
 from tiler.store import TileStore, open_store
 
@@ -83,43 +83,38 @@ def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a `tiler.io.locations.State`),
-        ``pixels``, ``valid``, and ``min``, ``max``, ``mean`` (None without a valid pixel).
+        As of `new_file`, and ``pixels``, ``valid``, ``min``, ``max``, ``mean`` (None without a valid pixel).
 
     Raises
     ------
     ProcessingError
         The disk is full or the file cannot be written.
     """
-    store = open_store(store_url)
-    with folder_for(work.out) as folder:
-        record = _write(store, work, folder / f"{work.name}.tif")
-    return {**record, "state": state_of(cloud_path(joined(work.out, record["path"]))).to_json()}
+    with new_file(work.out, f"{work.name}.tif") as (target, record):
+        found = _write(open_store(store_url), work, target)
+    return {
+        **record,
+        "pixels": work.spec.height * work.spec.width,
+        "valid": found.n,
+        "min": found.low if found.n else None,
+        "max": found.high if found.n else None,
+        "mean": found.mean if found.n else None,
+    }
 
 
-def _write(store: TileStore, work: WriteCog, target: Path) -> dict[str, Any]:
-    """Write a raster on this machine; the record of `write_cog`."""
+def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:
+    """Write a raster on this machine."""
     plain, partial = (partial_path(target, kind) for kind in ("plain", "cog"))
     try:
         statistics = _write_plain(store, work, plain)
         _copy_as_cog(plain, partial, work.compress, _product(work))
         _check(partial, work.spec)
         _publish(partial, target)
+        return statistics
     finally:
         for scratch in (plain, partial, *target.parent.glob(f"{partial.name}.*")):
             with suppress(FileNotFoundError):
                 scratch.unlink()
-    found = statistics.n > 0
-    return {
-        "path": target.name,
-        "bytes": target.stat().st_size,
-        "digest": digest_of_file(target),
-        "pixels": work.spec.height * work.spec.width,
-        "valid": statistics.n,
-        "min": statistics.low if found else None,
-        "max": statistics.high if found else None,
-        "mean": statistics.mean if found else None,
-    }
 
 
 def _product(work: ProductFile) -> Product:
@@ -198,8 +193,6 @@ def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) ->
 
 def _check(partial: Path, spec: RasterSpec) -> None:
     """Read the last block, which ends the file: GDAL may notice a full disk only when it closes, and say nothing."""
-    from rasterio.windows import Window
-
     row, col = ((side - 1) // BLOCK_PIXELS * BLOCK_PIXELS for side in (spec.height, spec.width))
     last = spec.block_at(row, col, BLOCK_PIXELS)
     with raster_errors(partial), rasterio.open(partial) as raster:

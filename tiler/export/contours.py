@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
+import shapely
 
 from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.export.contour_lines import Joiner, contour_block, default_interval, smoothed, smoothing_reach
 from tiler.export.spots import HIGH, LOW, spots_of_block
+from tiler.export.whole_files import new_file
 from tiler.export.work import DrawnFile, WriteContours, WriteSpots
-from tiler.io.cloud_reading import digest_of_file
-from tiler.io.locations import cloud_path, folder_for, joined, state_of
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore, open_store
 
@@ -100,31 +99,28 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path``, ``bytes``, ``digest``, ``state``; ``interval`` (units of the CRS), ``lines``, ``vertices``, ``cut``
+        As of `new_file`, and ``interval`` (units of the CRS), ``lines``, ``vertices``, ``cut``
         (lines that were divided, as too many vertices were waiting), ``low``, ``high`` (of the terrain, or None).
     """
     terrain = _terrain(store_url, work)
     low, high = terrain.relief()
     interval = _interval(work.interval, low, high)
-    joiner, counts = Joiner(), np.zeros(2, np.int64)
-
-    def fill(file: GeoPackage) -> None:
-        waiting: list[tuple[int, Floats]] = []
-        vertices = 0
+    joiner, lines, vertices, held = Joiner(), 0, 0, 0
+    waiting: list[tuple[int, Floats]] = []
+    crs = terrain.store.meta.frame.crs_wkt
+    with new_file(work.out, "contours.gpkg") as (target, record), geopackage(target, crs) as file:
         for line in _lines(terrain, interval, work.sigma, joiner):
             waiting.append(line)
-            counts[:] += 1, len(line[1])
-            vertices += len(line[1])
-            if vertices > BATCH:
+            lines, vertices, held = lines + 1, vertices + len(line[1]), held + len(line[1])
+            if held > BATCH:
                 _add_lines(file, terrain, interval, waiting)
-                waiting, vertices = [], 0
+                waiting, held = [], 0
         _add_lines(file, terrain, interval, waiting)
-
     return {
-        **_written(terrain, work.out, "contours", fill),
+        **record,
         "interval": float(interval),
-        "lines": int(counts[0]),
-        "vertices": int(counts[1]),
+        "lines": lines,
+        "vertices": vertices,
         "cut": joiner.cut,
         "low": None if np.isnan(low) else low,
         "high": None if np.isnan(high) else high,
@@ -156,8 +152,6 @@ def _lines(
 def _add_lines(
     file: GeoPackage, terrain: _Terrain, interval: Fraction, lines: list[tuple[int, Floats]]
 ) -> None:
-    import shapely
-
     levels = np.array([level for level, _ in lines], np.int64)
     numbers = np.repeat(np.arange(len(lines)), [len(places) for _, places in lines])
     places = np.concatenate([np.empty((0, 2)), *(places for _, places in lines)])
@@ -177,45 +171,29 @@ def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path``, ``bytes``, ``digest``, ``state``, ``interval``, ``highs``, ``lows``.
+        As of `new_file`, and ``interval``, ``highs``, ``lows``.
     """
     terrain, reach = _terrain(store_url, work), work.reach
     low, high = terrain.relief()
     interval = _interval(work.interval, low, high)
     counts = {HIGH: 0, LOW: 0}
-
-    def fill(file: GeoPackage) -> None:
-        import shapely
-
+    crs = terrain.store.meta.frame.crs_wkt
+    with new_file(work.out, "spots.gpkg") as (target, record), geopackage(target, crs) as file:
         for block in terrain.spec.blocks(BLOCK):
             heights, top, left = terrain.around(block, 2 * reach)
             for kind in counts:
                 rows, cols = spots_of_block(heights, kind, reach, float(interval))
-                mine = (
-                    (rows >= top) & (rows < top + block.height) & (cols >= left) & (cols < left + block.width)
-                )
+                mine = (rows >= top) & (rows < top + block.height)
+                mine &= (cols >= left) & (cols < left + block.width)
                 rows, cols = rows[mine], cols[mine]
                 counts[kind] += len(rows)
-                pixels = np.stack((cols + block.col - left, rows + block.row - top), axis=1).astype(
-                    np.float64
-                )
+                pixels = np.stack((cols + block.col - left, rows + block.row - top), axis=1)
                 columns = {"elevation": heights[rows, cols], "kind": np.full(len(rows), kind, object)}
-                file.add("spots", "Point", shapely.points(terrain.places(pixels)), columns)
-
-    record = _written(terrain, work.out, "spots", fill)
+                places = terrain.places(pixels.astype(np.float64))
+                file.add("spots", "Point", shapely.points(places), columns)
     return {**record, "interval": float(interval), "highs": counts[HIGH], "lows": counts[LOW]}
 
 
 def _terrain(store_url: str, work: DrawnFile) -> _Terrain:
     store = open_store(store_url)
     return _Terrain(store, work.raster, work.spec, store.area(work.area), work.waters)
-
-
-def _written(terrain: _Terrain, out: str, name: str, fill: Callable[[GeoPackage], None]) -> dict[str, Any]:
-    """Write a file; what its record says of it."""
-    with folder_for(out) as folder:
-        target: Path = folder / f"{name}.gpkg"
-        with geopackage(target, terrain.store.meta.frame.crs_wkt) as file:
-            fill(file)
-        record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
-    return {**record, "state": state_of(cloud_path(joined(out, target.name))).to_json()}

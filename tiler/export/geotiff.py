@@ -115,7 +115,7 @@ def plain_geotiff(
     if look.colours:
         profile["photometric"] = "palette"
     with (
-        _any_place(),
+        any_place(),
         rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
         raster_errors(path),
         rasterio.open(path, "w", **profile) as raster,
@@ -130,7 +130,7 @@ def plain_geotiff(
 
 
 @contextmanager
-def _any_place() -> Iterator[None]:
+def any_place() -> Iterator[None]:
     """Do without rasterio's warning of a raster of whole units at (0, 0); a GeoTIFF keeps that place, too."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
@@ -17,11 +16,9 @@ from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.export.cog import raster_look
-from tiler.export.geotiff import RasterLook, raster_errors
+from tiler.export.geotiff import RasterLook
+from tiler.export.whole_files import write_bytes
 from tiler.export.work import WriteMosaic
-from tiler.io.cloud_reading import digest_of_file
-from tiler.io.locations import cloud_path, folder_for, joined, state_of
-from tiler.io.partial_files import appearing
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
@@ -38,7 +35,7 @@ def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path`` (the file's name), ``bytes``, ``digest`` and ``state``, as `write_cog` gives them.
+        As of `tiler.export.whole_files.new_file`.
     """
     frame, product = open_store(store_url).meta.frame, PRODUCTS[work.product]
     whole = _hull([spec for _, spec in work.sheets])
@@ -53,14 +50,7 @@ def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
     for path, spec in work.sheets:
         _add_sheet(band, path, spec, whole, _TYPES[product.dtype])
     ElementTree.indent(root)
-    with folder_for(work.out) as folder:
-        target = folder / f"{work.product}.vrt"
-        with raster_errors(target), appearing(target) as partial, open(partial, "wb") as stream:
-            ElementTree.ElementTree(root).write(stream, encoding="utf-8")
-            stream.flush()
-            os.fsync(stream.fileno())
-        record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
-    return {**record, "state": state_of(cloud_path(joined(work.out, target.name))).to_json()}
+    return write_bytes(work.out, f"{work.product}.vrt", ElementTree.tostring(root, encoding="utf-8"))
 
 
 def _srs(crs: str) -> ElementTree.Element:
@@ -119,22 +109,10 @@ def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: Ra
     source = ElementTree.SubElement(band, "SimpleSource")
     ElementTree.SubElement(source, "SourceFilename", relativeToVRT="1").text = path
     ElementTree.SubElement(source, "SourceBand").text = "1"
-    wide, high = str(spec.width), str(spec.height)
-    ElementTree.SubElement(
-        source,
-        "SourceProperties",
-        RasterXSize=wide,
-        RasterYSize=high,
-        DataType=kind,
-        BlockXSize=str(BLOCK_PIXELS),
-        BlockYSize=str(BLOCK_PIXELS),
-    )
-    ElementTree.SubElement(source, "SrcRect", xOff="0", yOff="0", xSize=wide, ySize=high)
-    ElementTree.SubElement(
-        source,
-        "DstRect",
-        xOff=str(spec.west - whole.west),
-        yOff=str(whole.north - spec.north),
-        xSize=wide,
-        ySize=high,
-    )
+    size = (str(spec.width), str(spec.height))
+    block = dict(zip(("RasterXSize", "RasterYSize"), size, strict=True))
+    block |= {"DataType": kind, "BlockXSize": str(BLOCK_PIXELS), "BlockYSize": str(BLOCK_PIXELS)}
+    ElementTree.SubElement(source, "SourceProperties", block)
+    place = (str(spec.west - whole.west), str(whole.north - spec.north))
+    for name, (x, y) in (("SrcRect", ("0", "0")), ("DstRect", place)):
+        ElementTree.SubElement(source, name, xOff=x, yOff=y, xSize=size[0], ySize=size[1])

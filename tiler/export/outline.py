@@ -14,9 +14,8 @@ from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import BEYOND, VOID
 from tiler.core.raster import Block, RasterSpec
+from tiler.export.whole_files import new_file
 from tiler.export.work import WriteOutline
-from tiler.io.cloud_reading import digest_of_file
-from tiler.io.locations import cloud_path, folder_for, joined, state_of
 from tiler.io.vector import geopackage
 from tiler.store import open_store
 
@@ -39,7 +38,7 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path``, ``bytes``, ``digest``, ``state``: as those of `write_cog`; ``polygons``; ``rings``: for a map, each as
+        As of `new_file`; ``polygons``; ``rings``: for a map, each as
         x, y, x, y, ... in units of the CRS, with no more detail than `MOST_VERTICES` allow.
 
     Raises
@@ -54,16 +53,11 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     area = shapely.area(parts) * square
     void = np.array([sum(shapely.Polygon(ring).area for ring in part.interiors) for part in parts]) * square
     columns = {"area_m2": area, "void_m2": void, "void_percent": 100 * void / np.maximum(area + void, 1e-9)}
-    with folder_for(work.out) as folder:
-        target = folder / work.name
-        with geopackage(target, store.meta.frame.crs_wkt) as file:
-            file.add(
-                LAYER, "Polygon", list(parts), {k: np.asarray(v, np.float64) for k, v in columns.items()}
-            )
-        record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
-    state = state_of(cloud_path(joined(work.out, work.name))).to_json()
+    crs = store.meta.frame.crs_wkt
+    with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
+        file.add(LAYER, "Polygon", list(parts), {k: np.asarray(v, np.float64) for k, v in columns.items()})
     size = float(spec.lattice.size / COUNTS_PER_UNIT)
-    return {**record, "state": state, "polygons": len(parts), "rings": rings_of(parts, size)}
+    return {**record, "polygons": len(parts), "rings": rings_of(parts, size)}
 
 
 def rings_of(parts: npt.NDArray[Any], size: float) -> list[list[float]]:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
-from tiler.export.geotiff import raster_errors
+from tiler.export.geotiff import any_place, raster_errors
 from tiler.io.partial_files import appearing
 
 
@@ -36,14 +34,12 @@ def palette_png_bytes(values: npt.NDArray[np.uint8], colours: Mapping[int, tuple
 def _encoded(bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int, int]] | None) -> bytes:
     count, height, width = bands.shape
     profile = {"driver": "PNG", "height": height, "width": width, "count": count, "dtype": "uint8"}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with MemoryFile() as memory:
-            with memory.open(**profile) as picture:
-                picture.write(bands)
-                if colours is not None:
-                    picture.write_colormap(1, colours)
-            return bytes(memory.read())
+    with any_place(), MemoryFile() as memory:
+        with memory.open(**profile) as picture:
+            picture.write(bands)
+            if colours is not None:
+                picture.write_colormap(1, colours)
+        return bytes(memory.read())
 
 
 def write_png(path: Path, rgba: npt.NDArray[np.uint8]) -> None:

@@ -9,9 +9,8 @@ import shapely
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import RasterSpec
+from tiler.export.whole_files import new_file
 from tiler.export.work import WriteSheetIndex
-from tiler.io.cloud_reading import digest_of_file
-from tiler.io.locations import cloud_path, folder_for, joined, state_of
 from tiler.io.vector import geopackage
 from tiler.store import open_store
 
@@ -32,7 +31,7 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``path``, ``bytes``, ``digest`` and ``state``, as `write_cog` gives them.
+        As of `new_file`.
 
     Raises
     ------
@@ -40,19 +39,16 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
         The disk is full or the file cannot be written.
     """
     crs = open_store(store_url).meta.frame.crs_wkt
-    with folder_for(work.out) as folder:
-        target = folder / work.name
-        with geopackage(target, crs) as file:
-            for product in dict.fromkeys(sheet.product for sheet in work.sheets):
-                found = [sheet for sheet in work.sheets if sheet.product == product]
-                edges = np.array([_edges(sheet.spec) for sheet in found])
-                # A height of None becomes NaN, which is NULL in the file.
-                figures = np.array([(s.void_percent, s.low, s.high) for s in found], np.float64)
-                numbers = dict(zip(COLUMNS, np.hstack((edges, figures)).T, strict=True))
-                columns = {"location": np.array([sheet.path for sheet in found], object), **numbers}
-                file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
-        record = {"path": target.name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
-    return {**record, "state": state_of(cloud_path(joined(work.out, work.name))).to_json()}
+    with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
+        for product in dict.fromkeys(sheet.product for sheet in work.sheets):
+            found = [sheet for sheet in work.sheets if sheet.product == product]
+            edges = np.array([_edges(sheet.spec) for sheet in found])
+            # A height of None becomes NaN, which is NULL in the file.
+            figures = np.array([(s.void_percent, s.low, s.high) for s in found], np.float64)
+            numbers = dict(zip(COLUMNS, np.hstack((edges, figures)).T, strict=True))
+            columns = {"location": np.array([sheet.path for sheet in found], object), **numbers}
+            file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
+    return record
 
 
 def _edges(spec: RasterSpec) -> tuple[float, float, float, float]:

@@ -14,6 +14,14 @@ from tiler.store import KeptPiece
 
 
 @dataclass(frozen=True, kw_only=True)
+class NamedFile:
+    """A file, by its name in a folder that exists, or at a URL."""
+
+    name: str
+    out: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProductFile:
     """A file of a product.
 
@@ -36,46 +44,28 @@ class ProductFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WriteOutline:
+class WriteOutline(NamedFile):
     """The outline of the survey as polygons.
 
     Attributes
     ----------
-    name : str
-        Of the file.
     survey : str
     coarse : RasterSpec
         Of the cells of the survey.
-    out : str
-        Folder that exists, or a URL.
     area : str or None
         Key in the store of the area that is wanted.
     """
 
-    name: str
     survey: str
     coarse: RasterSpec
-    out: str
     area: str | None = None
 
 
-@dataclass(frozen=True)
-class WriteWater:
-    """Bodies of water as polygons, and the lines along which rivers flow.
+@dataclass(frozen=True, kw_only=True)
+class WriteWater(NamedFile):
+    """Bodies of water as polygons, and the lines along which rivers flow; ``waters``: key in the store."""
 
-    Attributes
-    ----------
-    name : str
-        Of the file.
-    waters : str
-        Key in the store.
-    out : str
-        Folder that exists, or a URL.
-    """
-
-    name: str
     waters: str
-    out: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,13 +110,11 @@ DrawnDeck = tuple[tuple[int, ...], float, float, float, int]
 """Outline as x, y, x, y, ... in counts; length, width and clearance in metres; points seen beneath."""
 
 
-@dataclass(frozen=True)
-class WriteBridges:
-    """The file ``name`` in ``out`` (a folder that exists, or a URL) of decks."""
+@dataclass(frozen=True, kw_only=True)
+class WriteBridges(NamedFile):
+    """The decks of bridges."""
 
-    name: str
     decks: tuple[DrawnDeck, ...]
-    out: str
 
 
 @dataclass(frozen=True)
@@ -141,22 +129,18 @@ class SheetFile:
     high: float | None
 
 
-@dataclass(frozen=True)
-class WriteSheetIndex:
-    """The file ``name`` in ``out`` (a folder that exists, or a URL) that says where sheets lie."""
+@dataclass(frozen=True, kw_only=True)
+class WriteSheetIndex(NamedFile):
+    """Where sheets lie."""
 
-    name: str
     sheets: tuple[SheetFile, ...]
-    out: str
 
 
-@dataclass(frozen=True)
-class WriteLegend:
-    """The file ``name`` in ``out`` (a folder that exists, or a URL) that names the classes of a product's raster."""
+@dataclass(frozen=True, kw_only=True)
+class WriteLegend(NamedFile):
+    """Names of the classes of a product's raster."""
 
     product: str
-    name: str
-    out: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,20 +183,9 @@ class WriteSpots(DrawnFile):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WriteText:
-    """A small file of text.
+class WriteText(NamedFile):
+    """A small file of text."""
 
-    Attributes
-    ----------
-    name : str
-        Of the file.
-    out : str
-        Folder that exists, or a URL.
-    text : str
-    """
-
-    name: str
-    out: str
     text: str
 
 

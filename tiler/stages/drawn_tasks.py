@@ -57,10 +57,10 @@ def drawn_tasks(g: Gridding, out: str) -> Iterator[Task]:
         digest = digest_of(__version__, outline, g.checksums("survey"))
         yield Task("export", OUTLINE, digest, write_outline, outline)
     if g.decks:
-        bridges = WriteBridges(BRIDGES, tuple(g.decks), out)
+        bridges = WriteBridges(name=BRIDGES, decks=tuple(g.decks), out=out)
         yield Task("export", BRIDGES, digest_of(__version__, bridges), write_bridges, bridges)
     if g.waters.bodies or config.water_file is not None:
-        water = WriteWater(WATER, g.waters.key, out)
+        water = WriteWater(name=WATER, waters=g.waters.key, out=out)
         yield Task("export", WATER, digest_of(__version__, water), write_water, water)
     for name in config.drawn:
         write, work = works[name]

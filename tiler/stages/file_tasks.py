@@ -144,7 +144,7 @@ def legend_tasks(g: Gridding, out: str) -> Iterator[Task]:
     """One for each raster of classes that is one file; over sheets the VRT has the names of the classes."""
     for name in g.plan.config.exported if g.plan.config.sheets is None else ():
         if PRODUCTS[name].values:
-            work = WriteLegend(name, f"{name}.tif{LEGEND}", out)
+            work = WriteLegend(product=name, name=f"{name}.tif{LEGEND}", out=out)
             yield Task("export", work.name, digest_of(__version__, work), write_legend, work)
 
 
@@ -161,7 +161,7 @@ def index_tasks(tasks: Iterable[Task], written: Commits, out: str) -> Iterator[T
             void = 100 * (1 - record["valid"] / record["pixels"])
             found.append(SheetFile(work.product, path, work.spec, void, record["min"], record["max"]))
     if found:
-        index = WriteSheetIndex(SHEETS, tuple(found), out)
+        index = WriteSheetIndex(name=SHEETS, sheets=tuple(found), out=out)
         yield Task("mosaic", SHEETS, digest_of(__version__, index), write_sheet_index, index)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -13,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 import rasterio
 from affine import Affine
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from tiler.apps.cell_sums import summed
 from tiler.core.classes import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
-from tiler.export.geotiff import CACHE_MB, raster_errors
+from tiler.export.geotiff import CACHE_MB, any_place, raster_errors
 from tiler.export.picture import write_png
 from tiler.io.partial_files import appearing
 
@@ -130,10 +129,8 @@ def refuse_foreign_maps(folder: Path, names: Sequence[str]) -> None:
 
 def _is_map(tif: Path) -> bool:
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(tif) as raster:
-                return tuple(raster.descriptions) == BANDS
+        with any_place(), rasterio.open(tif) as raster:
+            return tuple(raster.descriptions) == BANDS
     except RasterioError:
         return False
 
@@ -200,16 +197,15 @@ def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
         "compress": "deflate",
         "BIGTIFF": "IF_SAFER",
     }
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with (
-            rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
-            raster_errors(path),
-            appearing(path) as partial,
-            rasterio.open(partial, "w", **profile) as raster,
-        ):
-            for row in range(0, height, BLOCK_PIXELS):
-                rows = min(BLOCK_PIXELS, height - row)
-                raster.write(grid.bands(row, rows), window=Window(0, row, width, rows))
-            for band, text in enumerate(BANDS, start=1):
-                raster.set_band_description(band, text)
+    with (
+        any_place(),
+        rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
+        raster_errors(path),
+        appearing(path) as partial,
+        rasterio.open(partial, "w", **profile) as raster,
+    ):
+        for row in range(0, height, BLOCK_PIXELS):
+            rows = min(BLOCK_PIXELS, height - row)
+            raster.write(grid.bands(row, rows), window=Window(0, row, width, rows))
+        for band, text in enumerate(BANDS, start=1):
+            raster.set_band_description(band, text)

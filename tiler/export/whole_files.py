@@ -1,0 +1,58 @@
+"""Files that tasks write into a folder or to a URL, whole or not at all, and what their records say of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tiler.export.geotiff import raster_errors
+from tiler.export.work import WriteText
+from tiler.io.cloud_reading import digest_of_file
+from tiler.io.locations import cloud_path, folder_for, joined, state_of
+from tiler.io.partial_files import appearing
+
+
+@contextmanager
+def new_file(out: str, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Where to write a file, and the record of it, which is filled when the block has ended.
+
+    Parameters
+    ----------
+    out : str
+        Folder that exists, or a URL.
+    name : str
+
+    Yields
+    ------
+    Path
+    dict
+        ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a `tiler.io.locations.State`).
+    """
+    record: dict[str, Any] = {}
+    with folder_for(out) as folder:
+        target = folder / name
+        yield target, record
+        record |= {"path": name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
+    record["state"] = state_of(cloud_path(joined(out, name))).to_json()
+
+
+def write_bytes(out: str, name: str, content: bytes) -> dict[str, Any]:
+    """Write a small file; its record, as of `new_file`. Raises ProcessingError."""
+    with (
+        new_file(out, name) as (target, record),
+        raster_errors(target),
+        appearing(target) as partial,
+        open(partial, "wb") as stream,
+    ):
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+    return record
+
+
+def write_text(store_url: str, work: WriteText) -> dict[str, Any]:
+    """Write ``<out>/<name>``; a `tiler.schedule.task.Work`. The record is that of `new_file`."""
+    return write_bytes(work.out, work.name, work.text.encode())
