@@ -56,24 +56,6 @@ def test_noise_is_that_of_the_smoothest_places_within_limits(
     assert noise_m(survey(smoothest, given)) == expected
 
 
-@pytest.mark.parametrize(
-    ("density", "seen", "expected"),
-    [
-        (12.0, Seen(0, 0, 1000, 0), "dim"),
-        (12.0, Seen(9000, 0, 1000, 3), "dim"),
-        (12.0, Seen(0, 0, 1000, 20), "lidar"),
-        (12.0, Seen(9000, 90, 1000, 0), "lidar"),
-        (3.0, Seen(0, 0, 1000, 0), "lidar"),
-    ],
-)
-def test_colours_have_no_part_in_what_a_cloud_is_taken_for(density: float, seen: Seen, expected: str) -> None:
-    for rgb in (False, True):
-        run = {"rgb": rgb, "sigma_m": None, "kind": None}
-        found, notes = decided(Auto(), Roughness(density, 0.05, 100, 0.05), seen, run)
-        assert found["kind"] == expected
-        assert ("image matching" in notes[0]) == (expected == "dim")
-
-
 def test_each_kind_has_passes_of_its_own() -> None:
     def names(state: dict[str, Any]) -> list[str]:
         return [p.name for p in Auto().passes if p.applies(state)]
@@ -82,11 +64,6 @@ def test_each_kind_has_passes_of_its_own() -> None:
     assert matched == ["survey", "cells", "objects", "inner-objects", "surface"]
     assert set(matched) & set(laser) == {"survey"}
     assert not any(p.applies({}) for p in PASSES)
-
-
-def test_how_far_they_see() -> None:
-    """Where a change of the rules changes the reach, halos and the documents that name them change too."""
-    assert [p.reach_m for p in PASSES] == [4.0, 324.0, 324.0, 436.0]
 
 
 def test_elected_cells_are_those_of_the_bounds_and_are_labelled_by_cell() -> None:

@@ -10,9 +10,11 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import ptd
-from ptd.frame import Scale
+from ptd.frame import OPEN, Scale, Window
 from ptd.methods import METHODS
 from ptd.methods.auto.method import Auto
 from ptd.methods.chen2023.method import Chen2023
@@ -63,6 +65,30 @@ def test_neither_order_nor_frame_nor_units_show(cloud: Cloud, params: Any) -> No
     assert np.array_equal(labels_of(taller, params, replace(SCALE, metres_z=Fraction(1, 4 * CM)))[0], labels)
 
 
+@settings(max_examples=20, deadline=None)
+@given(
+    points=st.lists(st.tuples(*[st.integers(0, 9)] * 3), max_size=25),
+    spacing=st.sampled_from([1, 100, 3000]),
+    closed=st.booleans(),
+)
+@every_method
+def test_any_few_points_of_any_window_are_labelled(
+    params: Any, points: list[tuple[int, int, int]], spacing: int, closed: bool
+) -> None:
+    cloud = (np.array(points, np.int32).reshape(-1, 3).T * spacing).astype(np.int32)
+    window = Window(0, 0, 9 * spacing + 1, OPEN) if closed else Window.everything()
+    state: dict[str, Any] = {"run": {"rgb": False, "sigma_m": None, "kind": "lidar"}}
+    labels = marks = np.zeros(len(points), np.uint8)
+    for step in params.passes:
+        if step.applies(state):
+            given_ = Points(cloud, labels if "labels" in step.columns else None)
+            model = step.fit(given_, window, window, SCALE, state)
+            labels, marks = model.label(given_) if step.gives_labels else (labels, marks)
+            state = step.reduce([model.partial()], state)
+    assert set(labels.tolist()) <= {1, 2, 7}
+    assert labels.size == marks.size == len(points)
+
+
 THREE = [(5, 5, 5), (90, 7, 6), (30, 200, 5)]
 TINY = {
     "none": [],
@@ -80,9 +106,8 @@ TINY = {
 @pytest.mark.parametrize("name", TINY)
 @every_method
 def test_tiny_clouds_are_ground(name: str, params: Any) -> None:
-    assert labels_of(np.array(TINY[name], np.int32).reshape(-1, 3).T, params)[0].tolist() == [2] * len(
-        TINY[name]
-    )
+    cloud = np.array(TINY[name], np.int32).reshape(-1, 3).T
+    assert labels_of(cloud, params)[0].tolist() == [2] * len(TINY[name])
 
 
 @pytest.fixture(scope="module")

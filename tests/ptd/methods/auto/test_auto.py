@@ -57,17 +57,8 @@ def test_roofs_bushes_walls_and_low_noise_are_no_ground() -> None:
     assert (found[truth == 2] == 2).mean() > 0.99
     assert found[:2].tolist() == [7, 7]
     assert result.stats["seeds"]["low_outliers"] == 1  # both in a cell
-    assert list(result.stats) == [
-        "survey",
-        "seeds",
-        "densify",
-        "refine",
-        "roofs",
-        "roofs2",
-        "roofs3",
-        "roofs4",
-        "label",
-    ]
+    roofs = [f"roofs{n}" for n in ("", 2, 3, 4)]
+    assert list(result.stats) == ["survey", "seeds", "densify", "refine", *roofs, "label"]
 
 
 @pytest.mark.parametrize(
@@ -128,7 +119,9 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
         (0.9, Seen(0, 0, 5000, 0, 2000, 0, 100), "lidar"),
         (4.0, Seen(0, 0, 5000, 0, 2000, 110, 0), "dim"),  # dense: wide cells have no say
     ):
-        assert decided(Auto(), Roughness(density, 0.066, 50, 0.07), seen, run)[0]["kind"] == kind
+        for rgb in (False, True):  # colours have no part in it
+            found, _ = decided(Auto(), Roughness(density, 0.066, 50, 0.07), seen, run | {"rgb": rgb})
+            assert found["kind"] == kind
     noise = [
         decided(Auto(), Roughness(d, 0.066, 50, 0.1), Seen(0, 0, 0, 0), run | {"kind": "dim"})[0]
         for d in (2.9, 3.0)
@@ -143,18 +136,6 @@ def test_what_the_user_says_of_the_source_is_obeyed(kind: str) -> None:
         survey, notes = decided(Auto(), Roughness(8.0, 0.066, 50, 0.07), seen, run)
         assert survey["kind"] == kind
         assert "as --kind or the preset says" in notes[0]
-
-
-def test_the_noise_that_matched_clouds_start_from_has_limits_and_is_the_users_if_said() -> None:
-    for smoothest, said, taken in (
-        (0.01, None, 0.03),
-        (None, None, 0.03),
-        (0.5, None, 0.25),
-        (0.05, 0.12, 0.12),
-    ):
-        run = {"rgb": True, "sigma_m": said, "kind": "dim"}
-        survey, _ = decided(Auto(), Roughness(8.0, None, 0, smoothest), Seen(0, 0, 0, 0), run)
-        assert survey["cell_sigma_m"] == taken
 
 
 @pytest.mark.parametrize(

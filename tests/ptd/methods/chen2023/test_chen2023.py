@@ -45,25 +45,16 @@ def test_a_roof_wider_than_the_largest_building_stays() -> None:
 
 def test_tails_and_isolated_points_and_low_groups_are_no_ground() -> None:
     xyz, _ = town()
-    odd = np.array(
-        [
-            [30.0, 70.0, -400.0],
-            [31.0, 70.0, -401.0],
-            [130.0, 130.0, 900.0],  # tails
-            [50.2, 80.0, 40.0],
-            [100.0, 100.0, -2.0],
-            [110.0, 20.0, 2.0],  # isolated, above and below
-        ]
-    )
+    tails = [[30.0, 70.0, -400.0], [31.0, 70.0, -401.0], [130.0, 130.0, 900.0]]
+    isolated = [[50.2, 80.0, 40.0], [100.0, 100.0, -2.0], [110.0, 20.0, 2.0]]  # above and below
     group = np.array([[15.5 + i, 60.5 + j, -8.0 + 0.1 * i] for i in (0, 1) for j in (0, 1)])  # a cell each
-    result = ptd.classify(np.concatenate([xyz, odd, group]), "chen2023", kind="lidar")
+    result = ptd.classify(np.concatenate([xyz, tails, isolated, group]), "chen2023", kind="lidar")
     classes = result.classification[len(xyz) :]
     assert classes.tolist() == [7, 7, 1, 1, 7, 7, 7, 7, 7, 7]
-    assert result.decisions["statistics"]["notes"] == [
-        "2 candidates below -8 m are outliers: beyond a gap of 20 m in the run's elevations, and no more "
-        "than 0.001 of all",
-        "1 candidates above 20 m are outliers: beyond a gap of 20 m in the run's elevations, and no more "
-        "than 0.001 of all",
+    notes = result.decisions["statistics"]["notes"]
+    assert [note.split(":")[0] for note in notes] == [
+        "2 candidates below -8 m are outliers",
+        "1 candidates above 20 m are outliers",
     ]
     assert result.stats["chen2023"]["low_outliers"] >= 5
 
@@ -93,49 +84,21 @@ def test_a_cloud_of_outliers_alone_has_no_ground() -> None:
     """Heights 0, 10, 20, 30, 40 at five places a metre apart: each is far from all others."""
     cloud = np.array([[k, 0.5 * k, 10.0 * k] for k in range(5)])
     assert ptd.classify(cloud, "chen2023").classification.tolist() == [1] * 5
-    model = (
-        Chen2023(robust_cells=False)
-        .passes[1]
-        .fit(
-            Points(np.zeros((3, 0), np.int32)),
-            Window(0, 0, 9, 9),
-            Window(0, 0, 9, 9),
-            Scale(),
-            {"tails": None},
-        )
-    )
+    window, nothing = Window(0, 0, 9, 9), Points(np.zeros((3, 0), np.int32))
+    model = Chen2023(robust_cells=False).passes[1].fit(nothing, window, window, Scale(), {"tails": None})
     assert model.label(Points(np.zeros((3, 1), np.int32)))[1].tolist() == [True]
 
 
 def test_the_papers_six_parameters_are_the_tables_first() -> None:
     table = (chen2023.__doc__ or "").split("reason")[1].splitlines()
     names = [line.split()[0] for line in table if line[:1].islower()]
-    assert names[:6] == [
-        "max_building_size",
-        "initial_window",
-        "terrain_angle",
-        "rounds",
-        "iteration_angle",
-        "iteration_distance",
-    ]
-    assert (
-        {f"{name}{unit}" for name in names[:6] for unit in ("", "_m", "_deg")}
-        >= {
-            "max_building_size_m",
-            "initial_window",
-            "terrain_angle_deg",
-            "rounds",
-            "iteration_angle_deg",
-            "iteration_distance_m",
-        }
-        <= set(Chen2023.__dataclass_fields__)
-    )
+    six = "max_building_size initial_window terrain_angle rounds iteration_angle iteration_distance"
+    assert " ".join(names[:6]) == six
 
 
 def test_exponential_windows_need_an_initial_window_of_2() -> None:
-    with pytest.raises(
-        ValueError, match="initial_window 1: exponential windows never grow from 1; use 2 or more"
-    ):
+    line = "initial_window 1: exponential windows never grow from 1; use 2 or more"
+    with pytest.raises(ValueError, match=line):
         make_params("chen2023", {"exponential_windows": "true"})
     assert Chen2023(exponential_windows=True, initial_window=2).widths == [5, 9, 17, 31]
 

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptd.frame import Window
-from ptd.methods.chen2023 import progressive_opening
 from ptd.methods.chen2023.method import Chen2023
 from ptd.passes import Points
 from tests.ptd.scenes import CM, SCENES, Cloud
@@ -110,10 +109,3 @@ def test_the_statistics_are_those_of_one_tile(tile_m: float) -> None:
     assert tiled == whole
     assert whole["tails"][0] > -60
     assert len(whole["notes"]) == 1
-
-
-def test_blocks_of_the_raster_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
-    cloud = SCENES["voids"](np.random.default_rng(2))
-    truth, _ = run(SMALL, cloud, Window.everything())
-    monkeypatch.setattr(progressive_opening, "BLOCK_CELLS", 32)
-    assert np.array_equal(run(SMALL, cloud, Window.everything())[0], truth)

@@ -95,13 +95,9 @@ def test_the_state_and_its_notes() -> None:
     state = {"notes": ["before"], "run": {}}
     found = ElevationsPass(1.0, 20.0, 0.001).reduce(parts, state)
     assert found["tails"] == [100, 129]
-    assert found["notes"] == [
-        "before",
-        "2 candidates below 100 m are outliers: beyond a gap of 20 m in the run's elevations, and no more than 0.001 "
-        "of all",
-        "1 candidates above 130 m are outliers: beyond a gap of 20 m in the run's elevations, and no more than 0.001 "
-        "of all",
-    ]
+    why = "are outliers: beyond a gap of 20 m in the run's elevations, and no more than 0.001 of all"
+    told = [f"2 candidates below 100 m {why}", f"1 candidates above 130 m {why}"]
+    assert found["notes"] == ["before", *told]
     assert ElevationsPass(1.0, 20.0, 0.001).reduce(parts[::-1], state) == found
     assert ElevationsPass(1.0, 0.0, 0.001).reduce(parts, state)["tails"] is None
     assert ElevationsPass(1.0, 20.0, 0.001).reduce([], {}) == {"tails": None}

@@ -61,9 +61,8 @@ def test_on_cells_green_ground_is_kept_and_cars_are_removed(scene: Town) -> None
     """From cells of robust heights lawns are ground, which no colour says; houses, cars and crowns are not."""
     xyz, rgb = xyz_rgb(scene)
     result = classify(xyz, "dong2017", rgb=rgb)
-    kept = {
-        what: (result.classification[scene.truth == what] == 2).mean() for what in (2, 3, CAR, TREE, HOUSE)
-    }
+    labels = result.classification
+    kept = {what: (labels[scene.truth == what] == 2).mean() for what in (2, 3, CAR, TREE, HOUSE)}
     assert min(kept[2], kept[3]) > 0.985
     assert kept[CAR] < 0.05
     assert kept[TREE] == 0.0
@@ -88,24 +87,30 @@ def test_tiles_do_not_show_on_cells(small: Town, monkeypatch: pytest.MonkeyPatch
 def test_what_was_decided_is_told(whole: Run) -> None:
     state = whole[2]
     told = "\n".join(state["notes"])
-    for words in (
+    steps = (
         "(Otsu)",
         "planar patches",
         "points in dense cells",
         "first TIN of seeds: distance",
         "TIN of 2 m",
-    ):
-        assert words in told
+    )
+    assert all(words in told for words in steps)
     assert abs(state["sigma_m"] - SIGMA_M) < 0.01
     assert state["density_m2"] == 12.0
 
 
-def test_no_seed_on_houses_podiums_or_trees(scene: Town) -> None:
-    state: dict[str, Any] = {"run": {"rgb": True, "sigma_m": SIGMA_M}}
+def after_two_passes(points: Points, scale: Scale, sigma_m: float | None) -> np.ndarray:
+    """Labels of the second pass, in which seeds are 2."""
+    state: dict[str, Any] = {"run": {"rgb": True, "sigma_m": sigma_m}}
     window = Window.everything()
     survey, seeds = PAPER.passes[:2]
-    state = survey.reduce([survey.fit(scene.points, window, window, SCALE, state).partial()], state)
-    labels, _ = seeds.fit(scene.points, window, window, SCALE, state).label(scene.points)
+    state = survey.reduce([survey.fit(points, window, window, scale, state).partial()], state)
+    found: np.ndarray = seeds.fit(points, window, window, scale, state).label(points)[0]
+    return found
+
+
+def test_no_seed_on_houses_podiums_or_trees(scene: Town) -> None:
+    labels = after_two_passes(scene.points, SCALE, SIGMA_M)
     assert (labels == 2).sum() > 40
     assert (scene.truth[labels == 2] == 2).all()
     assert (labels == 5)[(scene.truth == 3) | (scene.truth == TREE)].mean() > 0.99
@@ -161,9 +166,8 @@ def test_without_colours_it_refuses(small: Town) -> None:
 def test_without_facades_it_refuses(small: Town) -> None:
     xyz, rgb = xyz_rgb(small)
     bare = small.truth == 2
-    with pytest.raises(
-        MethodRefusal, match=r"no facade found: no cell of 1 m holds more than .* another method"
-    ):
+    line = r"no facade found: no cell of 1 m holds more than .* another method"
+    with pytest.raises(MethodRefusal, match=line):
         classify(xyz[bare], "dong2017", rgb=rgb[bare])
 
 
@@ -188,9 +192,7 @@ def test_one_mode_of_colour_removes_nothing(small: Town) -> None:
     assert (result.classification[small.truth == 3] == 2).mean() > 0.9  # lawns are ground again
 
 
-def test_the_published_thresholds_are_of_the_order_of_those_found(
-    whole: Run,
-) -> None:
+def test_the_published_thresholds_are_of_the_order_of_those_found(whole: Run) -> None:
     """Table 4: 0.35 m and 0.058 rad, 0.25 and 0.228, 0.22 and 0.35, at about twice this noise."""
     found = [text for text in whole[2]["notes"] if "angle" in text]
     angles = [float(text.split("angle ")[1].split()[0]) for text in found]
@@ -242,22 +244,11 @@ def test_the_papers_comparison_between_facades() -> None:
     lost = classify(scene.xyz, "classic", papers).classification != 2
     assert scene.rgb is not None
     grey = gli_bins(np.ascontiguousarray(scene.rgb.T)) < result.decisions["statistics"]["green_from"]
-    seeds = scene.xyz[_seeds_of(scene.xyz, scene.rgb)]
+    counts = np.rint((scene.xyz - scene.xyz.min(axis=0)) * 1000).astype(np.int32).T
+    points = Points(np.ascontiguousarray(counts), rgb=np.ascontiguousarray(scene.rgb.T))
+    seeds = scene.xyz[after_two_passes(points, Scale(), None) == 2]
     judged = grey & (Delaunay(seeds[:, :2]).find_simplex(scene.xyz[:, :2]) >= 0)
     ground, found = scene.classification[judged] == 2, result.classification[judged] == 2
     assert (ground & ~found).sum() <= 0.005 * ground.sum()
     assert (ground != found).mean() < 0.02
     assert (lost & judged & (scene.classification == 2)).sum() > 0.5 * ground.sum()
-
-
-def _seeds_of(xyz: np.ndarray, rgb: np.ndarray) -> np.ndarray:
-    """Which points are seeds: a run of the first two passes."""
-    counts = np.rint((xyz - xyz.min(axis=0)) * 1000).astype(np.int32).T
-    points = Points(np.ascontiguousarray(counts), rgb=np.ascontiguousarray(rgb.T))
-    window, scale = Window.everything(), Scale()
-    state: dict[str, Any] = {"run": {"rgb": True, "sigma_m": None}}
-    survey, seeds = PAPER.passes[:2]
-    state = survey.reduce([survey.fit(points, window, window, scale, state).partial()], state)
-    labels, _ = seeds.fit(points, window, window, scale, state).label(points)
-    found: np.ndarray = labels == 2
-    return found

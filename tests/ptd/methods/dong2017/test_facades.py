@@ -48,10 +48,8 @@ def grid(heights: np.ndarray, per_cell: int = 9, seed: int = 3) -> np.ndarray:
 def wall(column: int, rows: int, top: float, n: int = 60) -> np.ndarray:
     """A facade in one column of cells."""
     rng = np.random.default_rng(column)
-    y = rng.integers(0, rows * CM, n * rows)
-    return np.stack([np.full(y.size, column * CM + 5), y, rng.integers(0, int(top * CM), y.size)]).astype(
-        np.int32
-    )
+    y, z = rng.integers(0, rows * CM, n * rows), rng.integers(0, int(top * CM), n * rows)
+    return np.stack([np.full(y.size, column * CM + 5), y, z]).astype(np.int32)
 
 
 def cloud(*parts: np.ndarray) -> np.ndarray:
@@ -104,9 +102,8 @@ def test_where_both_sides_are_level_there_is_no_road() -> None:
 
 def test_a_rough_place_gives_no_seed() -> None:
     points = house()
-    points[2, points[0] // CM < 10] += (
-        np.random.default_rng(5).integers(0, 80, (points[0] // CM < 10).sum()).astype(np.int32)
-    )
+    low = points[0] // CM < 10
+    points[2, low] += np.random.default_rng(5).integers(0, 80, low.sum()).astype(np.int32)
     assert len(seeds_of(points)) == 0
     loose = RULE._replace(variation=100.0)
     assert len(seeds_of(points, loose)) > 10

@@ -64,9 +64,7 @@ def test_order_and_window_change_nothing() -> None:
     assert 0.05 < truth.mean() < 0.5
     order = rng.permutation(9000)
     assert np.array_equal(found(cloud[:, order]), truth[order])
-    near, own = (
-        (abs(cloud[0] - 1000) < by) & (abs(cloud[1] - 700) < by)
-        for by in (900 + 100 * (REACH_CELLS + 1), 900)
-    )
+    away = np.maximum(abs(cloud[0] - 1000), abs(cloud[1] - 700))
+    near, own = away < 900 + 100 * (REACH_CELLS + 1), away < 900
     part = np.ascontiguousarray(cloud[:, near])
     assert np.array_equal(found(part)[own[near]], truth[own])
