@@ -122,9 +122,8 @@ class Rising(Model):
     def label(self, points: Points) -> Any:
         near = around(points.xyz, self.xyz, self.reach)
         low = np.array([self.xyz[2, i].min() for i in near]).reshape(len(points))
-        return np.where(points.xyz[2] - low > self.metre, HIGH, LOW).astype(np.uint8), np.zeros(
-            len(points), bool
-        )
+        codes = np.where(points.xyz[2] - low > self.metre, HIGH, LOW).astype(np.uint8)
+        return codes, np.zeros(len(points), bool)
 
 
 class RisingPass(OfImages):

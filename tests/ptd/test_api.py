@@ -66,10 +66,7 @@ def echo(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_columns_and_labels_go_from_pass_to_pass() -> None:
     result = ptd.classify(XYZ, "echo", rgb=RGB, returns=RETURNS, sigma=0.05)
     assert np.array_equal(result.classification, RGB[:, 0] % 100 + RETURNS[:, 1])
-    assert result.decisions["statistics"] == {
-        "run": {"rgb": True, "sigma_m": 0.05, "kind": None},
-        "n": N,
-    }
+    assert result.decisions["statistics"] == {"run": {"rgb": True, "sigma_m": 0.05, "kind": None}, "n": N}
     assert result.stats == {"first": {"given": N}, "second": {"given": N}}
 
 

@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -112,17 +113,9 @@ def test_another_user_has_the_kernels_of_root() -> None:
         variables = {**os.environ, "NUMBA_CACHE_DIR": image, "XDG_CACHE_HOME": f"{home}/user", "HOME": home}
 
         def told(user: int) -> list[str]:
-            done = subprocess.run(
-                [sys.executable, "-c", script],
-                env=variables,
-                user=user,
-                capture_output=True,
-                text=True,
-                check=True,
-                extra_groups=[],
-                group=user,
-            )
-            return done.stdout.split()
+            who: dict[str, Any] = {"user": user, "group": user, "extra_groups": []}
+            call = [sys.executable, "-c", script]
+            return subprocess.check_output(call, env=variables, text=True, **who).split()
 
         assert told(0)[1] == "1"
         subprocess.run(["chmod", "-R", "a+rX,go-w", image], check=True)  # as the Dockerfile does

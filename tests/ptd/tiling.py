@@ -16,8 +16,7 @@ MARK = np.uint8(128)
 
 
 def inside(points: Points, window: Window) -> np.ndarray:
-    x, y = points.xyz[0], points.xyz[1]
-    return (x >= window.west) & (x < window.east) & (y >= window.south) & (y < window.north)
+    return window.has(points.xyz[0], points.xyz[1])
 
 
 def _given(points: Points, step: Any, labels: np.ndarray) -> Points:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from ptd.matched import surface
+from ptd.matched.hull import Hull
 from ptd.passes import Points
 
 SIDE_M, DENSITY_M2, NOISE_M = 90.0, 12.0, 0.06
@@ -37,3 +40,11 @@ def village(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 def counts(xyz: np.ndarray) -> Points:
     return Points(np.rint(1000 * xyz.T).astype(np.int32))
+
+
+def short_sighted_surface(patch: pytest.MonkeyPatch) -> None:
+    """Let the ground's surface see less far, so that small scenes have places beyond its reach."""
+    near = {"STIFF": Hull(0.04, 2.0), "PLIABLE": Hull(0.08, 2.0), "RIDGES": (Hull(0.3, 2.0),), "ROUNDS": 2}
+    near |= {"CONTRAST_M": 2.0, "RIDGE_M": 2.0, "TERRAIN_M": 2.0, "EXTENDED_M": (1.0, 2.0)}
+    for name, value in near.items():
+        patch.setattr(surface, name, value)

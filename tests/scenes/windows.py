@@ -16,8 +16,7 @@ SIDE = 16_000
 
 def cut(cloud: Cloud, window: Window) -> np.ndarray:
     """Which points lie in a window."""
-    x, y = cloud[0], cloud[1]
-    return (x >= window.west) & (x < window.east) & (y >= window.south) & (y < window.north)
+    return window.has(cloud[0], cloud[1])
 
 
 def opened(cloud: Cloud, window: Window) -> Window:

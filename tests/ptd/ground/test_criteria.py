@@ -95,10 +95,9 @@ def test_on_a_vertex_only_the_vertex_passes(z: int, passed: bool) -> None:
     found = set()
     for t in range(tin.n_triangles):
         if 0 in (tin.vertices[v, :2].any() for v in tin.triangle(t) if v >= 0) and not tin.is_ghost(t):
+            facet = tin.vertex_array, tin.triangle_array, t
             in_doubt = np.zeros(tin.n_triangles, np.uint8)
-            found.add(
-                accepts(tin.vertex_array, tin.triangle_array, t, *in_counts(0, 0, z), limits(), in_doubt)
-            )
+            found.add(accepts(*facet, *in_counts(0, 0, z), limits(), in_doubt))
     assert found == {(passed, False, False)}
 
 
@@ -121,16 +120,8 @@ def test_limits_in_feet_are_those_in_metres() -> None:
 
 
 # A terrace: a step of 5 m between two flats; the facets of the step are steep.
-TERRACE = (
-    (0, 0, 0),
-    (0, 12_000, 0),
-    (5_000, 0, 0),
-    (5_000, 12_000, 0),
-    (6_000, 0, 5_000),
-    (6_000, 12_000, 5_000),
-    (12_000, 0, 5_000),
-    (12_000, 12_000, 5_000),
-)
+PROFILE = ((0, 0), (5_000, 0), (6_000, 5_000), (12_000, 5_000))
+TERRACE = tuple((x, y, z) for x, z in PROFILE for y in (0, 12_000))
 
 
 def test_on_a_steep_facet_a_point_is_tested_where_its_mirror_image_lies() -> None:
@@ -217,9 +208,8 @@ def test_measures_are_exact_to_a_few_bits_and_do_not_feel_a_shift(
     got = facet_measures(tin.vertex_array, tin.triangle_array, t, *in_counts(*point), 1.0)
     height = int((normal * (p - a)).sum())
     size = float((abs(normal) * abs(p - a)).sum()) / math.sqrt(n2)
-    assert got[0] == pytest.approx(
-        math.copysign(math.sqrt(Fraction(height * height, n2)), height), abs=1e-12 * size + 1e-9
-    )
+    distance = math.copysign(math.sqrt(Fraction(height * height, n2)), height)
+    assert got[0] == pytest.approx(distance, abs=1e-12 * size + 1e-9)
     assert got[1] == pytest.approx(math.sqrt(min(int(((p - q) ** 2).sum()) for q in (a, b, c))), rel=1e-14)
     assert got[2] == pytest.approx(float(Fraction(int(normal[2]) ** 2, n2)), rel=1e-12)
     edges = [int(((q - r)[:2] ** 2).sum()) for q, r in ((a, b), (b, c), (c, a))]

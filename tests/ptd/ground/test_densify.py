@@ -41,9 +41,8 @@ def test_the_vertices_are_those_of_the_naive_way(
     seed: int, rough: int, rounds: int, angle: float, terrain: float, reduce: float, stop: float
 ) -> None:
     seeds, candidates = scene(seed, 80, rough)
-    limits = Limits.of(
-        Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=terrain, reduce_m=reduce, stop_m=stop
-    )
+    edges = {"reduce_m": reduce, "stop_m": stop}
+    limits = Limits.of(Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=terrain, **edges)
     got, tin, _ = run(seeds, candidates, limits, rounds)
     assert np.array_equal(got, naive(seeds, candidates, limits, rounds))
     assert tin.n_vertices == len(seeds) + got.sum()

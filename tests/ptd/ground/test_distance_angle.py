@@ -39,15 +39,13 @@ def test_distance_and_smallest_angle_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("threshold", "passes"),
-    [((0.31, 0.036), True), ((0.29, 0.036), False), ((0.31, 0.034), False)],
+    ("threshold", "passes"), [((0.31, 0.036), True), ((0.29, 0.036), False), ((0.31, 0.034), False)]
 )
 def test_both_thresholds_hold(threshold: tuple[float, float], passes: bool) -> None:
     """0.3 m and atan(0.3 / sqrt(73)) = 0.0351."""
     point = columns((300, 10, 130), (300, 10, 70))
-    found, doubtful = Trial(right_triangle(), SCALE, 10.0).test(
-        *point, np.ones(2, bool), Threshold(*threshold), SURE
-    )
+    trial = Trial(right_triangle(), SCALE, 10.0)
+    found, doubtful = trial.test(*point, np.ones(2, bool), Threshold(*threshold), SURE)
     assert found.tolist() == [passes, passes]
     assert not doubtful.any()
 
@@ -71,12 +69,10 @@ def test_on_a_vertex_the_height_counts_alone() -> None:
 def test_wide_facets_and_the_outside_test_nothing() -> None:
     points = columns((200, 200, 100), (900, 900, 100))
     which, threshold = np.ones(2, bool), Threshold(0.3, 0.1)
-    assert Trial(right_triangle(), SCALE, 5.1).test(*points, which, threshold, SURE)[0].tolist() == [
-        True,
-        False,
-    ]
-    assert not Trial(right_triangle(), SCALE, 4.9).test(*points, which, threshold, SURE)[0].any()
-    assert not Trial(right_triangle(), SCALE, 4.9).count(*points, which, Bins(0.1, 9, 0.1, 9)).any()
+    wide, narrow = (Trial(right_triangle(), SCALE, widest) for widest in (5.1, 4.9))
+    assert wide.test(*points, which, threshold, SURE)[0].tolist() == [True, False]
+    assert not narrow.test(*points, which, threshold, SURE)[0].any()
+    assert not narrow.count(*points, which, Bins(0.1, 9, 0.1, 9)).any()
 
 
 def test_only_chosen_points_are_tested() -> None:
@@ -114,13 +110,9 @@ def test_what_passes_without_doubt_passes_whatever_lies_beyond_the_window() -> N
         x0, y0 = (int(v) for v in rng.integers(-500, side, 2))
         window = Window(x0, y0, x0 + int(rng.integers(500, side)), y0 + int(rng.integers(500, side)))
         widest = float(rng.uniform(0.5, 8.0))
-        truth, _ = Trial(Tin.build(*vertices), SCALE, widest).test(
-            *tests, np.ones(300, bool), threshold, SURE
-        )
-        inside = [
-            (c[0] >= window.west) & (c[0] < window.east) & (c[1] >= window.south) & (c[1] < window.north)
-            for c in (vertices, tests)
-        ]
+        trial = Trial(Tin.build(*vertices), SCALE, widest)
+        truth, _ = trial.test(*tests, np.ones(300, bool), threshold, SURE)
+        inside = [window.has(c[0], c[1]) for c in (vertices, tests)]
         doubt = Doubt(window, window, (0, 0, side, side), SCALE)
         trial = Trial(Tin.build(*vertices[:, inside[0]]), SCALE, widest, doubt)
         own = tests[:, inside[1]]

@@ -7,13 +7,7 @@ import pytest
 from scipy import ndimage
 
 from ptd.frame import Cells, Scale
-from ptd.ground.morphology import (
-    EMPTY,
-    OVERHANG,
-    CellRaster,
-    disk_minimum,
-    steepest_drops,
-)
+from ptd.ground.morphology import EMPTY, OVERHANG, CellRaster, disk_minimum, steepest_drops
 
 RADII = (0, 1, 1.5, 2, 3, 5, 7, 9.4, 18)
 
@@ -27,14 +21,10 @@ def opened_by_scipy(heights: np.ndarray, radius: float) -> np.ndarray:
     """In floats, with infinity for what is missing: far beyond the border as well."""
     pad = int(radius) + OVERHANG
     wide = np.pad(heights.astype(float), pad, constant_values=EMPTY)
-    filled = wide != EMPTY
-    lowest = ndimage.minimum_filter(
-        np.where(filled, wide, np.inf), footprint=disk(radius), mode="constant", cval=np.inf
-    )
+    filled, under = wide != EMPTY, {"footprint": disk(radius), "mode": "constant"}
+    lowest = ndimage.minimum_filter(np.where(filled, wide, np.inf), cval=np.inf, **under)
     centres = ndimage.binary_dilation(filled, disk(OVERHANG))
-    opened = ndimage.maximum_filter(
-        np.where(centres, lowest, -np.inf), footprint=disk(radius), mode="constant", cval=-np.inf
-    )
+    opened = ndimage.maximum_filter(np.where(centres, lowest, -np.inf), cval=-np.inf, **under)
     inner = np.where(filled, opened, EMPTY)[pad:-pad, pad:-pad]
     return inner.astype(np.int32)
 

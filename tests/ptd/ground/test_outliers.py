@@ -13,6 +13,7 @@ from ptd.frame import Scale
 from ptd.ground.outliers import isolated_in_height, low_outliers, search_margin
 
 FEET = Fraction(3048, 10**7)
+near = st.integers(-9000, 9000)
 
 
 def by_counting(
@@ -39,11 +40,7 @@ def field(height: object = 0.0) -> np.ndarray:
 @settings(max_examples=80, deadline=None)
 @given(
     points=st.lists(
-        st.tuples(
-            st.integers(-9000, 9000), st.integers(-9000, 9000), st.sampled_from([0, 3000, 4000, 4001, 9000])
-        ),
-        min_size=1,
-        max_size=50,
+        st.tuples(near, near, st.sampled_from([0, 3000, 4000, 4001, 9000])), min_size=1, max_size=50
     ),
     radius=st.sampled_from([1.0, 2.5, 5.0]),
     group=st.integers(0, 4),
@@ -144,9 +141,8 @@ def test_the_smallest_difference_counts_so_that_two_are_not_isolated() -> None:
 
 
 def test_a_wall_of_other_heights_within_the_radius_does_not_isolate() -> None:
-    assert (
-        isolated(field(np.arange(961) % 31 * 5.0)) == []
-    )  # neighbours in a row are level, in a column 5 m apart
+    # Neighbours in a row are level, in a column 5 m apart.
+    assert isolated(field(np.arange(961) % 31 * 5.0)) == []
 
 
 def test_points_with_fewer_than_three_neighbours_are_not_isolated() -> None:

@@ -14,9 +14,8 @@ from ptd.frame import Cells
 from ptd.ground.morphology import EMPTY, CellRaster
 from ptd.ground.plateaus import Plateaus, on_plateaus, plateaus
 
-RULE = Plateaus(
-    step=1500.0, fall=1500.0, gap=2, view=4, slope=0.0, share=0.9, unseen=0.5, widest=12, widest_cut=8
-)
+SEEN = {"gap": 2, "view": 4, "slope": 0.0, "share": 0.9, "unseen": 0.5}
+RULE = Plateaus(step=1500.0, fall=1500.0, widest=12, widest_cut=8, **SEEN)
 WAYS = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if r or c]
 
 
@@ -32,9 +31,8 @@ def test_a_roof_is_found_whole() -> None:
 
 def test_points_of_the_roof_in_cells_of_its_edge_are_on_it_too() -> None:
     """A roof that covers half of the cells along two of its edges."""
-    x, y = (
-        c.ravel().astype(np.int32) for c in np.meshgrid(np.arange(60) * 500 + 250, np.arange(60) * 500 + 250)
-    )
+    steps = np.arange(250, 30_000, 500, dtype=np.int32)
+    x, y = (c.ravel() for c in np.meshgrid(steps, steps))
     roof = (x > 9000) & (x < 16_500) & (y > 9000) & (y < 16_500)
     z = np.where(roof, 5000, 0).astype(np.int32)
     ground = np.ones(z.size, bool)
@@ -118,8 +116,7 @@ def test_what_a_hill_leans_on_is_kept() -> None:
 
 
 @pytest.mark.parametrize(
-    "why",
-    ["ramp", "wide", "low", "pit", "terrace", "slope", "higher beside", "out of sight", "alone"],
+    "why", ["ramp", "wide", "low", "pit", "terrace", "slope", "higher beside", "out of sight", "alone"]
 )
 def test_terrain_is_kept(why: str) -> None:
     heights, rule = land(), RULE
@@ -221,18 +218,14 @@ def test_it_is_the_rule_and_sees_no_farther_than_it_says(
     heights: np.ndarray, gap: int, view: int, widest: int, again: bool
 ) -> None:
     removed, data = (heights == 5000) & again, (heights != EMPTY) | (np.arange(27) % 4 > 0)
-    rule = replace(
-        RULE, gap=gap, view=view, slope=700.0, widest=widest, widest_cut=max(widest - 3, 1), share=0.7
-    )
+    limits = {"widest": widest, "widest_cut": max(widest - 3, 1)}
+    rule = replace(RULE, gap=gap, view=view, slope=700.0, share=0.7, **limits)
     heights = np.where(removed, EMPTY, heights).astype(np.int32)
     found = plateaus(heights, rule, removed, data)
     assert np.array_equal(found, by_hand(heights, rule, removed, data))
     for row, column in ((13, 13), (0, 5), (20, 26)):
         south, west = max(row - rule.reach, 0), max(column - rule.reach, 0)
         near = np.s_[south : row + rule.reach + 1, west : column + rule.reach + 1]
-        part = plateaus(
-            np.ascontiguousarray(heights[near]),
-            rule,
-            *(np.ascontiguousarray(a[near]) for a in (removed, data)),
-        )
+        seen, *others = (np.ascontiguousarray(a[near]) for a in (heights, removed, data))
+        part = plateaus(seen, rule, *others)
         assert part[row - south, column - west] == found[row, column]

@@ -55,17 +55,8 @@ def test_laser_scans_are_filtered_as_the_paper_has_it(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_next_to_no_points_give_no_error(name: str, n: int) -> None:
     """Cells with a single point have no height: 7 points fill two cells."""
-    xyz = np.array(
-        [
-            [5.0, 5.0, 1.0],
-            [8.0, 5.0, 1.0],
-            [5.0, 9.0, 1.0],
-            [5.1, 5.1, 1.0],
-            [8.1, 5.1, 1.0],
-            [8.2, 5.1, 1.0],
-            [5.2, 5.1, 1.0],
-        ]
-    )[:n]
+    places = [(5.0, 5.0), (8.0, 5.0), (5.0, 9.0), (5.1, 5.1), (8.1, 5.1), (8.2, 5.1), (5.2, 5.1)]
+    xyz = np.array([(x, y, 1.0) for x, y in places[:n]])
     assert len(ptd.classify(xyz.reshape(-1, 3), name, kind="dim").classification) == n
 
 
@@ -94,13 +85,11 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int, short_sighted: NearGroun
     core = Window(40_000, 44_000, 66_000, 61_000)
     reach = round(1000 * (short_sighted.reach_m or 0.0))
     window = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
-    seen = (cells[0] >= window.west) & (cells[0] < window.east)
-    seen &= (cells[1] >= window.south) & (cells[1] < window.north)
+    seen = window.has(cells[0], cells[1])
     assert seen.mean() < 0.75
     x, y = rng.integers(38_000, 68_000, (2, 20_000))
-    points = Points(
-        np.stack([x, y, 100 * x // 1000 + rng.normal(0, 500, x.size).astype(int)]).astype(np.int32)
-    )
+    height = 100 * x // 1000 + rng.normal(0, 500, x.size).astype(int)
+    points = Points(np.stack([x, y, height]).astype(np.int32))
     own = core.has(points.xyz[0], points.xyz[1])
     state: dict[str, Any] = {"survey": {"kind": "dim", "cell_sigma_m": 0.08, "density_m2": 20.0}}
 

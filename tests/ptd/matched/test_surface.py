@@ -9,7 +9,6 @@ from scipy.ndimage import maximum_filter
 from ptd.frame import Scale
 from ptd.matched import surface
 from ptd.matched.cells import EMPTY
-from ptd.matched.hull import Hull
 from ptd.matched.surface import (
     EXTENDED_M,
     NARROWEST,
@@ -19,6 +18,7 @@ from ptd.matched.surface import (
     reach_cells,
     smoothed,
 )
+from tests.scenes.village import short_sighted_surface
 
 MM = Scale()
 SIGMA_M = 0.05
@@ -160,14 +160,7 @@ def test_gaussian_sums_have_weights_of_one_and_an_end() -> None:
 
 @pytest.fixture
 def short_sighted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(surface, "STIFF", Hull(0.04, 2.0))
-    monkeypatch.setattr(surface, "PLIABLE", Hull(0.08, 2.0))
-    monkeypatch.setattr(surface, "RIDGES", (Hull(0.3, 2.0),))
-    monkeypatch.setattr(surface, "CONTRAST_M", 2.0)
-    monkeypatch.setattr(surface, "RIDGE_M", 2.0)
-    monkeypatch.setattr(surface, "TERRAIN_M", 2.0)
-    monkeypatch.setattr(surface, "ROUNDS", 2)
-    monkeypatch.setattr(surface, "EXTENDED_M", (1.0, 2.0))
+    short_sighted_surface(monkeypatch)
 
 
 @pytest.mark.usefixtures("short_sighted")

@@ -12,11 +12,10 @@ import ptd
 from ptd.frame import Scale
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.matched import objects, passes, surface
-from ptd.matched.hull import Hull
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
 from tests.ptd.tiling import classify_tiled
-from tests.scenes.village import counts, village
+from tests.scenes.village import counts, short_sighted_surface, village
 
 
 def test_a_cloud_in_feet_has_the_labels_of_one_in_metres() -> None:
@@ -44,14 +43,7 @@ def test_walls_roofs_crowns_and_blunders_are_no_ground() -> None:
 @pytest.fixture
 def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
     """`auto` whose matched branch sees less far, so that tiles of a small scene have neighbours beyond their reach."""
-    monkeypatch.setattr(surface, "STIFF", Hull(0.04, 2.0))
-    monkeypatch.setattr(surface, "PLIABLE", Hull(0.08, 2.0))
-    monkeypatch.setattr(surface, "RIDGES", (Hull(0.3, 2.0),))
-    monkeypatch.setattr(surface, "CONTRAST_M", 2.0)
-    monkeypatch.setattr(surface, "RIDGE_M", 2.0)
-    monkeypatch.setattr(surface, "TERRAIN_M", 2.0)
-    monkeypatch.setattr(surface, "ROUNDS", 2)
-    monkeypatch.setattr(surface, "EXTENDED_M", (1.0, 2.0))
+    short_sighted_surface(monkeypatch)
     monkeypatch.setattr(objects, "WIDEST_M", 14.0)
     monkeypatch.setattr(objects, "TERRAIN_M", 10.0)
     seen = max(

@@ -68,9 +68,8 @@ def test_votes_see_no_farther_than_their_reach() -> None:
 def test_radius_holds_ten_points_within_its_limits() -> None:
     assert radius_m(10.0) == pytest.approx(np.sqrt(1 / np.pi), abs=0.005)
     assert (radius_m(0.0), radius_m(1e6)) == (RADIUS_M[1], RADIUS_M[0])
-    assert all(
-        round(100 * radius_m(d)) == pytest.approx(100 * radius_m(d)) for d in np.arange(1.0, 60.0, 0.7)
-    )
+    in_cm = np.array([100 * radius_m(density) for density in np.arange(1.0, 60.0, 0.7)])
+    assert in_cm == pytest.approx(np.round(in_cm))
 
 
 def test_noise_is_averaged_and_steps_are_kept() -> None:

@@ -40,16 +40,9 @@ def _on_a_circle(draw: st.DrawFn) -> Points:
 
 @st.composite
 def _clusters(draw: st.DrawFn) -> Points:
-    centres = draw(
-        st.lists(
-            st.tuples(st.integers(-(2**25) + 10, 2**25 - 10), st.integers(-(2**25) + 10, 2**25 - 10)),
-            min_size=1,
-            max_size=3,
-        )
-    )
-    near = draw(
-        st.lists(st.tuples(st.sampled_from(centres), st.integers(-2, 2), st.integers(-2, 2)), max_size=14)
-    )
+    far, beside = st.integers(-(2**25) + 10, 2**25 - 10), st.integers(-2, 2)
+    centres = draw(st.lists(st.tuples(far, far), min_size=1, max_size=3))
+    near = draw(st.lists(st.tuples(st.sampled_from(centres), beside, beside), max_size=14))
     return [(c[0] + dx, c[1] + dy, dx) for c, dx, dy in near]
 
 

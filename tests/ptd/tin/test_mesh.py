@@ -15,8 +15,7 @@ relaxed = settings(deadline=None, max_examples=60)
 
 
 def facets_of(tin: Tin) -> list[reference.Facet]:
-    vertices, facets = tin.vertices, tin.facets()
-    return [tuple((int(vertices[v, 0]), int(vertices[v, 1])) for v in facet) for facet in facets]
+    return [tuple((int(x), int(y)) for x, y, _ in tin.vertices[facet]) for facet in tin.facets()]
 
 
 def lowest(points: Points) -> dict[reference.Point, int]:
