@@ -32,7 +32,7 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
     config = read_config(settings)
     from tiler.io.locations import joined
     from tiler.io.result_folder import STORE
-    from tiler.plan import make_plan, plan_json, plan_lines
+    from tiler.plan import make_plan, plan_json, plan_lines, projected_memory
 
     plan = make_plan(inputs, config, out)
     cluster = None
@@ -46,5 +46,5 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
         return
     for line in plan_lines(plan):
         say(line)
-    for line in [] if cluster is None else cluster.lines(max(plan.projected_memory().values())):
+    for line in [] if cluster is None else cluster.lines(max(projected_memory(plan).values())):
         say(line)

@@ -17,7 +17,6 @@ from tests.tiler.servers import http_server
 from tiler.errors import InputError
 from tiler.ingest import inspect
 from tiler.io.las.extract import cut_windows, sample_places
-from tiler.plan import Plan
 
 WINDOW = {
     "method": "classic",
@@ -60,7 +59,8 @@ def test_a_window_has_the_bytes_of_the_whole_file_cropped(
     copc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window = do(copc, tmp_path / "window", **WINDOW)
-    monkeypatch.setattr(Plan, "chunks_of", lambda plan, source, margin=None: None)
+    for module in ("plan.area", "stages.fingerprints", "stages.ingest_tasks", "stages.file_tasks"):
+        monkeypatch.setattr(f"tiler.{module}.chunks_of", lambda plan, source, margin=None: None)
     whole = do(copc, tmp_path / "whole", **WINDOW)
     assert window.summary["counts"]["read"] < whole.summary["counts"]["read"] / 2
     assert (

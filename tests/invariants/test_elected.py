@@ -34,6 +34,7 @@ from tests.scenes.small_stores import small_stores
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter.reading import TileReader
 from tiler.plan import make_plan, plan_lines
+from tiler.plan.projection import filter_peak
 from tiler.store import TileStore
 
 NOISE = 7
@@ -328,7 +329,7 @@ def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
     assert not by_name["census"].sometimes
     spread = by_name["spread"]
     assert "not all of which apply to every cloud" in " ".join(plan_lines(plan))
-    assert plan.filter_peak(spread, 64, 8) > plan.filter_peak(by_name["rising"], 64, 8)
+    assert filter_peak(plan, spread, 64, 8) > filter_peak(plan, by_name["rising"], 64, 8)
 
 
 def test_passes_of_another_branch_make_no_tile_smaller(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,8 @@ from tests.invariants.runs import computed, do, settings, stored_labels
 from tests.ptd import medians
 from tests.ptd.tiling import inside
 from tiler.errors import ConfigError
-from tiler.plan import make_plan, plan_json, plan_lines
+from tiler.plan import make_plan, plan_json, plan_lines, projected_memory
+from tiler.plan.projection import overlap_of, widest_halo_m
 
 HIGH, LOW = 3, 4
 
@@ -140,14 +141,14 @@ def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
         ours
     )
     assert plan_json(ours)["halos_m"] == {"mean": 0.0, "split": 8.0, "lonely": 8.0}
-    assert ours.overlap == pytest.approx(48**2 / 32**2)
-    assert [ours.widest_halo_m(step) for step in ours.passes] == [0.0, 32.0, 8.0]
+    assert overlap_of(ours, ours.steps) == pytest.approx(48**2 / 32**2)
+    assert [widest_halo_m(ours, step) for step in ours.passes] == [0.0, 32.0, 8.0]
     assert not any("--halo" in note for note in ours.notes)
     wider = plan(halo="40")
     assert [step.halo_m for step in wider.passes] == [0.0, 40.0, 8.0]
-    assert wider.overlap == pytest.approx(112**2 / 32**2)
+    assert overlap_of(wider, wider.steps) == pytest.approx(112**2 / 32**2)
     assert any("how far they look: mean 0 m, lonely 8 m" in note for note in wider.notes)
-    assert wider.projected_memory()["filter"] > ours.projected_memory()["filter"]
+    assert projected_memory(wider)["filter"] > projected_memory(ours)["filter"]
 
 
 class Wary(Model):

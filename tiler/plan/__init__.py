@@ -1,15 +1,18 @@
 """The plan: everything that can be decided or refused before the first point is read.
 
-`make` reads the headers and decides, `model` is the plan; `sizes` has the rules for buckets, tiles and pixels,
-`memory` what a worker needs, `density_map` where the points are thickest, `distant_files` which files lie too far away,
-`disk` and `rates` what else it takes; `refuse` says no; `plan_text` tells people.
+`make` reads the headers and decides, `model` is the plan; `sizes` has the rules for buckets, tiles and pixels, `memory`
+what a worker needs and `projection` what a plan makes of it, `density_map` where the points are thickest,
+`distant_files` which files lie too far away, `disk` and `rates` what else it takes; `refuse` says no; `plan_text` tells
+people.
 """
 
+from tiler.plan.area import buckets_of, chunks_of
 from tiler.plan.disk import too_much_between
 from tiler.plan.make import make_plan, output_names
 from tiler.plan.memory import PlannedPass
 from tiler.plan.model import KEEP, LEAST_MATCHED_M2, PIECE_POINTS, Plan
 from tiler.plan.plan_text import crs_name, plan_json, plan_lines
+from tiler.plan.projection import projected_memory
 from tiler.plan.rates import remember, stage_seconds
 from tiler.plan.refuse import refuse
 from tiler.plan.sizes import bounds_of
@@ -21,11 +24,14 @@ __all__ = [
     "Plan",
     "PlannedPass",
     "bounds_of",
+    "buckets_of",
+    "chunks_of",
     "crs_name",
     "make_plan",
     "output_names",
     "plan_json",
     "plan_lines",
+    "projected_memory",
     "refuse",
     "remember",
     "stage_seconds",

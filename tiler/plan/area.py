@@ -1,15 +1,18 @@
-"""The area of interest of a run, from ``--bounds`` or ``--aoi``."""
+"""The area of interest of a run, from ``--bounds`` or ``--aoi``, and what of its inputs is read for it."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from tiler.config import RunConfig
-from tiler.core.area import Area
+from tiler.core.area import Area, Runs
 from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import SourceInfo, bounds_in_counts
+from tiler.ingest import SourceInfo, bounds_in_counts, claimed_bounds
 from tiler.io.vector.areas import read_area
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
@@ -65,7 +68,7 @@ def part_of(plan: Plan) -> Plan:
     option = "--bounds" if plan.config.aoi is None else f"--aoi {plan.config.aoi}"
     near = [s for s in plan.sources if s.points and plan.area.touches(bounds_of(s).pad(plan.margin))]
     near, damaged = _with_octree(plan, near, option)
-    near = [s for s in near if plan.chunks_of(s) != []]
+    near = [s for s in near if chunks_of(plan, s) != []]
     if not near or not plan.area.touches(plan.extent):
         west, south, east, north = (v / COUNTS_PER_UNIT for v in plan.area.bounds.to_json())
         x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
@@ -96,18 +99,46 @@ def part_of(plan: Plan) -> Plan:
     )
 
 
+def buckets_of(plan: Plan, source: SourceInfo) -> Runs | None:
+    """The buckets whose points of a source are read; None for all of them."""
+    if plan.area is None:
+        return None
+    extent = claimed_bounds(source)
+    if extent is None:  # its points may be anywhere
+        extent = plan.area.bounds.pad(plan.margin)
+    return plan.area.cells(plan.meta.bucket, extent, plan.margin)
+
+
+def chunks_of(plan: Plan, source: SourceInfo, margin: int | None = None) -> list[int] | None:
+    """The chunks of a COPC file that can hold points which matter; None for all, and for other files.
+
+    Parameters
+    ----------
+    plan : Plan
+    source : SourceInfo
+    margin : int, optional
+        Counts around the area within which points matter; those that points are read in.
+    """
+    if plan.area is None or source.octree is None or buckets_of(plan, source) is None:
+        return None
+    margin, area = plan.margin if margin is None else margin, plan.area
+    near = {key: area.touches(_around(source.octree.box(key)).pad(margin)) for key in set(source.octree.keys)}
+    return [chunk for chunk, key in enumerate(source.octree.keys) if near[key]]
+
+
+def _around(box: Sequence[float]) -> Bounds:
+    """A square in counts, and a unit around it, as some writers round carelessly."""
+    x0, y0 = (math.floor((v - 1) * COUNTS_PER_UNIT) for v in box[:2])
+    x1, y1 = (math.ceil((v + 1) * COUNTS_PER_UNIT) for v in box[2:])
+    return Bounds(x0, y0, x1, y1)
+
+
 def _with_octree(
     plan: Plan, sources: list[SourceInfo], option: str
 ) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
     """Files but those that say they are COPC and whose octree cannot be used; path and reason of these."""
-    damaged = [
-        (
-            str(s.path),
-            f"{s.path}: {s.octree_damage}; get the file again, or run without {option.split()[0]}",
-        )
-        for s in sources
-        if s.octree_damage
-    ]
+    remedy = f"get the file again, or run without {option.split()[0]}"
+    damaged = [(str(s.path), f"{s.path}: {s.octree_damage}; {remedy}") for s in sources if s.octree_damage]
     if damaged and (plan.config.on_error == "stop" or len(damaged) == len(sources)):
         raise InputError(damaged[0][1])
     return [s for s in sources if not s.octree_damage], damaged
@@ -131,7 +162,7 @@ def _metres(plan: Plan, counts: int) -> float:
 
 def _share(plan: Plan, source: SourceInfo) -> float:
     """About the part of a source's points that is read."""
-    runs = plan.buckets_of(source)
+    runs = buckets_of(plan, source)
     if runs is None:
         return 1.0
     cells = sum(end - first for _, first, end in runs)

@@ -21,8 +21,8 @@ from typing import Any
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
+from tiler.plan.halos import MAX_HALO_FACTOR, widened
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
-from tiler.plan.model import LEAST_CANDIDATES, MAX_HALO_FACTOR
 from tiler.plan.sizes import SPARSE_TILE_M
 
 WIDEST_WINDOW = MAX_EXTENT // 2
@@ -59,8 +59,7 @@ def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
     """The tiles of a pass, from the west."""
     if plan.joins(step):
         held = sum(record["n_candidates"] for record in records.values())
-        wanted = min(1 << (plan.tile_workers - 1).bit_length(), max(held // LEAST_CANDIDATES, 1))
-        yield from _halved(plan, records, step, sorted(records), wanted)
+        yield from _halved(plan, records, step, sorted(records), plan.wanted_tiles(held))
         return
     size = plan.meta.frame.counts(plan.tile)
     groups = _by_centre(plan.meta.bucket, records, size)
@@ -143,15 +142,8 @@ def _too_wide(plan: Plan, cells: Sequence[Cell], halo: int) -> bool:
 
 
 def _widest(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
-    """The halo, doubled and doubled again while the memory allows; that of a fixed one stays."""
-    widest = halo
-    while (
-        not step.fixed
-        and 0 < widest < MAX_HALO_FACTOR * halo
-        and _bytes(plan, records, step, cells, 2 * widest) <= plan.tile_memory_of(step)
-    ):
-        widest *= 2
-    return widest
+    most = plan.tile_memory_of(step)
+    return widened(step, halo, lambda wider: _bytes(plan, records, step, cells, wider) <= most)
 
 
 def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[Cell, list[Cell]]:

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 from ptd.passes import Pass
 from tiler.config import RunConfig
 from tiler.plan.memory import PlannedPass
+
+MAX_HALO_FACTOR = 4
+"""A tile with marks takes so many times the halo that it began with at most."""
+
+Length = TypeVar("Length", int, float)
+
+
+def widened(step: PlannedPass, halo: Length, fits: Callable[[Length], bool]) -> Length:
+    """The halo that a tile of a pass may end with: doubled and doubled again while that fits; a fixed one stays."""
+    widest = halo
+    while not step.fixed and 0 < widest < MAX_HALO_FACTOR * halo and fits(2 * widest):
+        widest *= 2
+    return widest
 
 
 def own_halo(params: Any) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -11,29 +11,22 @@ from pathlib import Path
 from typing import Any
 
 from tiler.config import RunConfig
-from tiler.core.area import Area, Runs
+from tiler.core.area import Area
 from tiler.core.breaklines import Counts
 from tiler.core.edits import Edit
-from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.stage_names import stage_title
 from tiler.core.water import Water
 from tiler.grid import SMALLEST_PART
-from tiler.ingest import SourceInfo, claimed_bounds
+from tiler.ingest import SourceInfo
 from tiler.plan.density_map import DensityMap
 from tiler.plan.memory import (
     BASE_BYTES,
-    EXPORT_BYTES,
-    EXPORT_POINTS,
     GROUND_BYTES,
     JOINED_BYTES,
     PlannedPass,
     breakline_bytes,
-    bucket_bytes,
-    filter_bytes,
-    held_bytes,
-    ingest_bytes,
     nested,
 )
 from tiler.store import StoreMeta
@@ -43,7 +36,6 @@ BRIDGE_REACH_M = 300
 KEEP = "keep"
 """The method that trusts the classes of the input."""
 
-MAX_HALO_FACTOR = 4
 PIECE_POINTS = 1_000_000
 MAX_GROUND = 4_000_000
 """Points that the window of a part of a block may hold; denser clouds give one a quarter pixel, everywhere."""
@@ -187,35 +179,15 @@ class Plan:
         """The widest halo that a pass starts with, metres, if the cloud is of that kind."""
         return max(step.halo_m for step in steps_of(self.passes, kind))
 
-    def overlap_of(self, steps: Iterable[PlannedPass]) -> float:
-        """Padded area over core area of a filter tile in the pass that sees most; joined tiles end at the survey."""
-        return max((self._overlap(step) for step in steps), default=1.0)
-
-    def _overlap(self, step: PlannedPass) -> float:
-        found, wider = 1.0, 2 * step.halo_m
-        for side, most in zip(self.tile_sides_m(step), self._sides_m, strict=True):
-            found *= (min(side + wider, most) if self.joins(step) else side + wider) / side
-        return found
-
     @property
-    def _sides_m(self) -> tuple[float, float]:
+    def sides_m(self) -> tuple[float, float]:
         """Of the survey, west to east and south to north."""
         bounds, metres = self.extent, float(self.meta.frame.metres_xy)
         return (bounds.x1 - bounds.x0) * metres, (bounds.y1 - bounds.y0) * metres
 
-    def tile_sides_m(self, step: PlannedPass) -> tuple[float, float]:
-        """About the sides of the tiles of a pass, see `tiler.plan.filter_tiles`."""
-        if not self.joins(step):
-            return float(self.tile), float(self.tile)
-        sides = list(self._sides_m)
-        wanted = min(1 << (self.tile_workers - 1).bit_length(), max(self.points // LEAST_CANDIDATES, 1))
-        while max(sides) > self.bucket_m and (
-            wanted > 1
-            or self.filter_peak(step, math.sqrt(math.prod(sides)), step.halo_m) > self.tile_memory_of(step)
-        ):
-            sides[sides.index(max(sides))] /= 2
-            wanted //= 2
-        return sides[0], sides[1]
+    def wanted_tiles(self, candidates: int) -> int:
+        """How many joined tiles a pass on so many points wants: one a worker, a power of two, none of them small."""
+        return min(1 << (self.tile_workers - 1).bit_length(), max(candidates // LEAST_CANDIDATES, 1))
 
     @property
     def fine_m(self) -> Fraction:
@@ -246,33 +218,6 @@ class Plan:
         labels = max((Fraction(step.margin_m) for step in self.steps), default=Fraction(0))
         labels += BRIDGE_REACH_M if self.config.bridges == "remove" else 0
         return math.ceil(self.meta.frame.counts(max(Fraction(self.halo_m), self.grid_halo, labels)))
-
-    def buckets_of(self, source: SourceInfo) -> Runs | None:
-        """The buckets whose points of a source are read; None for all of them."""
-        if self.area is None:
-            return None
-        extent = claimed_bounds(source)
-        if extent is None:  # its points may be anywhere
-            extent = self.area.bounds.pad(self.margin)
-        return self.area.cells(self.meta.bucket, extent, self.margin)
-
-    def chunks_of(self, source: SourceInfo, margin: int | None = None) -> list[int] | None:
-        """The chunks of a COPC file that can hold points which matter; None for all, and for other files.
-
-        Parameters
-        ----------
-        source : SourceInfo
-        margin : int, optional
-            Counts around the area within which points matter; those that points are read in.
-        """
-        if self.area is None or source.octree is None or self.buckets_of(source) is None:
-            return None
-        margin = self.margin if margin is None else margin
-        near: dict[tuple[int, int, int], bool] = {}
-        for key in source.octree.keys:
-            if key not in near:
-                near[key] = self.area.touches(_around(source.octree.box(key)).pad(margin))
-        return [chunk for chunk, key in enumerate(source.octree.keys) if near[key]]
 
     @property
     def density(self) -> float:
@@ -331,11 +276,6 @@ class Plan:
         return max((step.halo_m for step in self.steps), default=0.0)
 
     @property
-    def overlap(self) -> float:
-        """Padded area over core area of a filter tile, in the pass that sees most."""
-        return self.overlap_of(self.steps)
-
-    @property
     def tiles(self) -> int:
         """Filter tiles, if the sources' bounds were filled."""
         return max(math.ceil(self.area_m2 / float(self.tile) ** 2), 1)
@@ -351,17 +291,6 @@ class Plan:
         mean = min(self.density * side**2, self.points)
         return int(max(mean, self.density_map.fullest(side)))
 
-    def projected_memory(self) -> dict[str, int]:
-        """Peak bytes of a worker by stage."""
-        return {
-            "ingest": ingest_bytes(PIECE_POINTS, self.fullest_bucket),
-            "filter": max((self._projected_filter(step) for step in self.likely), default=0),
-            "grid": BASE_BYTES
-            + int(min(self.points, max(self.block_points, self.fullest_part))) * GROUND_BYTES
-            + self.line_bytes,
-            "export": BASE_BYTES + EXPORT_BYTES + min(max(s.points for s in self.sources), EXPORT_POINTS),
-        }
-
     @cached_property
     def line_bytes(self) -> int:
         """What a worker needs for the lines that the terrain follows."""
@@ -369,48 +298,3 @@ class Plan:
         return breakline_bytes(
             self.lines, float(frame.counts(self.resolution)), float(frame.counts(window_m))
         )
-
-    def _projected_filter(self, step: PlannedPass) -> int:
-        """Peak bytes of a pass: mean tile with widest halo or fullest one, divided until it fits or is one bucket."""
-        if self.joins(step):
-            whole = self.filter_peak(step, math.sqrt(self.area_m2), step.halo_m, crowded=True)
-            least = self.filter_peak(step, self.bucket_m, step.halo_m, crowded=True)
-            return min(whole, max(self.tile_memory_of(step), least))
-        mean = self.filter_peak(step, float(self.tile), self.widest_halo_m(step))
-        whole = self.filter_peak(step, float(self.tile), step.halo_m, crowded=True)
-        least = self.filter_peak(step, self.bucket_m, step.halo_m, crowded=True)
-        return min(max(mean, whole), max(self.tile_memory, least))
-
-    def filter_peak(self, step: PlannedPass, side_m: float, halo_m: float, crowded: bool = False) -> int:
-        """Peak bytes of a worker with a tile of that side and halo, of the mean density or in the fullest place."""
-        side = side_m + 2 * halo_m
-        area = min(side**2, self.area_m2)
-        extent = self.extent.area() * float(self.meta.frame.metres_xy) ** 2
-        bucket_m = self.bucket_m + 2 * step.margin_m
-        points, bucket = self.density * area, self.density * bucket_m**2
-        if crowded:
-            points = max(points, self.density_map.fullest(side))
-            bucket = max(bucket, self.density_map.fullest(bucket_m))
-        raster = min(side**2, extent) if step.raster_cell_m else area
-        window = filter_bytes(points, raster, self.candidate_cell_m, step, self.fine_m)
-        held = held_bytes(self.memory) if step.margin_m else 0
-        return int(BASE_BYTES + window + bucket_bytes(bucket) + held)
-
-    def widest_halo_m(self, step: PlannedPass) -> float:
-        """Metres of halo that a tile with marks may take: doubled and doubled again while the memory allows."""
-        halo = step.halo_m
-        if step.fixed:
-            return halo
-        while (
-            0 < halo < MAX_HALO_FACTOR * step.halo_m
-            and self.filter_peak(step, float(self.tile), 2 * halo) <= self.tile_memory
-        ):
-            halo *= 2
-        return halo
-
-
-def _around(box: Sequence[float]) -> Bounds:
-    """A square in counts, and a unit around it, as some writers round carelessly."""
-    x0, y0 = (math.floor((v - 1) * COUNTS_PER_UNIT) for v in box[:2])
-    x1, y1 = (math.ceil((v + 1) * COUNTS_PER_UNIT) for v in box[2:])
-    return Bounds(x0, y0, x1, y1)

@@ -10,6 +10,7 @@ from tiler.core.units import unit_label
 from tiler.plan.disk import projected_disk
 from tiler.plan.memory import PlannedPass
 from tiler.plan.model import Plan, steps_of
+from tiler.plan.projection import overlap_of, projected_memory
 from tiler.plan.rates import projected_seconds
 
 KIND_WORDS = {"lidar": "a laser scan", "dim": "a matched cloud"}
@@ -28,10 +29,10 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "method": plan.config.method, "parameters": plan.parameters, "passes": len(plan.steps), "kind": plan.kind,
         "halos_m": {step.name: step.halo_m for step in plan.steps},
         "resolution_m": float(plan.resolution), "tile_m": float(plan.tile), "bucket_m": plan.bucket_m,
-        "halo_m": plan.halo_m, "tiles": plan.tiles, "overlap_work": plan.overlap,
+        "halo_m": plan.halo_m, "tiles": plan.tiles, "overlap_work": overlap_of(plan, plan.steps),
         "halo_by_kind_m": {kind: plan.halo_of(kind) for kind in plan.kinds},
         "fullest_window_points": plan.fullest_window(), "workers": plan.workers, "memory_bytes": plan.memory,
-        "projected_memory_bytes": plan.projected_memory(), "projected_disk_bytes": sum(disk.values()),
+        "projected_memory_bytes": projected_memory(plan), "projected_disk_bytes": sum(disk.values()),
         "disk_bytes": disk, "projected_seconds": seconds, "rates_of_this_machine": measured,
         "notes": list(plan.notes), "warnings": list(plan.warnings),
     }  # fmt: skip
@@ -39,7 +40,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 def plan_lines(plan: Plan) -> list[str]:
     """The plan line by line."""
-    frame, memory, disk = plan.meta.frame, plan.projected_memory(), projected_disk(plan)
+    frame, memory, disk = plan.meta.frame, projected_memory(plan), projected_disk(plan)
     worst = max(memory, key=lambda k: memory[k])
     metres = float(frame.metres_xy)
     west, south = plan.extent.x0 / COUNTS_PER_UNIT, plan.extent.y0 / COUNTS_PER_UNIT
@@ -96,7 +97,7 @@ def _halo_in_words(plan: Plan) -> str:
     """The widest halo and what it costs: for each kind of cloud, where the points are yet to show which it is."""
 
     def words(halo_m: float, steps: Iterable[PlannedPass]) -> str:
-        return f"{halo_m:g} m of halo, overlap work {plan.overlap_of(steps):.2f}"
+        return f"{halo_m:g} m of halo, overlap work {overlap_of(plan, steps):.2f}"
 
     if not plan.kinds:
         return words(plan.halo_m, plan.steps)

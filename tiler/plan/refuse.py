@@ -38,6 +38,7 @@ from tiler.io.result_folder import (
 from tiler.plan.disk import free_bytes, needed_bytes
 from tiler.plan.machine import memory_bytes
 from tiler.plan.model import Plan
+from tiler.plan.projection import filter_peak, projected_memory
 
 MAX_DENOMINATOR = 511
 """Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
@@ -171,7 +172,7 @@ def refuse(plan: Plan, out: Path | None) -> None:
 
 
 def _refuse_memory(plan: Plan) -> None:
-    memory = plan.projected_memory()
+    memory = projected_memory(plan)
     worst = max(memory, key=lambda k: memory[k])
     if memory[worst] > plan.memory:
         raise ConfigError(
@@ -195,7 +196,7 @@ def _instead(plan: Plan, stage: str) -> str:
 
     def fits(side: float, halo: float) -> bool:
         halos = {step: step.halo_m if step.fixed else halo for step in plan.likely}
-        return all(plan.filter_peak(s, side, h, crowded=True) <= plan.memory for s, h in halos.items())
+        return all(filter_peak(plan, s, side, h, crowded=True) <= plan.memory for s, h in halos.items())
 
     count = int(float(plan.tile) // plan.bucket_m)
     sides = [plan.bucket_m * n for n in range(count - 1, 0, -1) if fits(plan.bucket_m * n, plan.halo_m)]

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from tiler.io.locations import location
-from tiler.plan import Plan
+from tiler.plan import Plan, projected_memory
 from tiler.runs.cluster_check import Access
 from tiler.schedule import Executor, Limits, Machine, make_executor
 from tiler.store import store_exists
@@ -82,7 +82,7 @@ def _look_at_workers(
     access = Access(str(plan.config.scheduler), sources, store_url, products, there)
     executor.on_each_worker(access)
     machines = executor.machines()
-    access.refuse_small(machines, max(plan.projected_memory().values()))
+    access.refuse_small(machines, max(projected_memory(plan).values()))
     return access, machines
 
 

@@ -32,7 +32,7 @@ from tiler.filter import LABELS
 from tiler.ingest import SourceInfo, claimed_bounds, window_pieces
 from tiler.io.locations import is_url, joined, location
 from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS
-from tiler.plan import PIECE_POINTS, Plan
+from tiler.plan import PIECE_POINTS, Plan, chunks_of
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.ingest_tasks import Source, by_source
@@ -224,7 +224,7 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
 
 def _window(plan: Plan, info: SourceInfo) -> tuple[tuple[int, int], ...]:
     """Records, of a source of which the run fetched only a part, that may be inside the area; none for others."""
-    chunks = (plan.chunks_of(info, 0) or plan.chunks_of(info)) if is_url(info.path) else None
+    chunks = (chunks_of(plan, info, 0) or chunks_of(plan, info)) if is_url(info.path) else None
     found = [] if chunks is None else window_pieces(info, chunks, PIECE_POINTS)
     return tuple(records for ranges in found for records in ranges)
 

@@ -17,6 +17,7 @@ from tiler.ingest import SourceInfo
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.las.unchanged import refuse_changed
 from tiler.io.locations import State, cloud_path, is_url, location
+from tiler.plan import chunks_of
 from tiler.redaction import without_secrets
 from tiler.runs.job import Job
 from tiler.runs.worker import compute
@@ -49,7 +50,7 @@ def numbered(job: Job) -> list[Source]:
         entry = known.setdefault(place, {"number": len(known)})
         if not job.plan.config.verify and entry.get("stamp") == info.stamp:
             continue
-        if is_url(info.path) and job.plan.chunks_of(info) is not None:  # a window: most of it is not fetched
+        if is_url(info.path) and chunks_of(job.plan, info) is not None:  # a window: most of it is not fetched
             content = digest_of("octree", info.state, info.digest, info.octree)
             known[place] = {**entry, "stamp": info.stamp, "content": content}
         else:

@@ -22,7 +22,7 @@ from tiler.ingest import (
     window_pieces,
 )
 from tiler.io.locations import location
-from tiler.plan import PIECE_POINTS, Plan
+from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
 from tiler.schedule import Task, digest_of
 from tiler.stages.tasks import skip_flags
 from tiler.store import Commits
@@ -53,7 +53,7 @@ class Source:
 def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[Task]:
     """One for each piece of a source; ``keep`` its records."""
     for source in sources:
-        wanted = plan.buckets_of(source.info)
+        wanted = buckets_of(plan, source.info)
         claimed = claimed_bounds(source.info)
         for start, count, ranges in _pieces(plan, source.info):
             key = f"{source.name}-{start:012d}"
@@ -78,7 +78,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
 
 def _pieces(plan: Plan, info: SourceInfo) -> Iterator[tuple[int, int, tuple[tuple[int, int], ...]]]:
     """First record, number of records, and their ranges if they are not all that lie between, of each piece."""
-    chunks = plan.chunks_of(info)
+    chunks = chunks_of(plan, info)
     if chunks is None:
         yield from ((start, count, ()) for start, count in pieces(info, PIECE_POINTS))
         return

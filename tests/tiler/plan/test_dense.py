@@ -11,7 +11,7 @@ import pytest
 from tests.invariants import clouds
 from tiler.config import RunConfig
 from tiler.errors import ConfigError
-from tiler.plan import Plan, make_plan
+from tiler.plan import Plan, make_plan, projected_memory
 from tiler.plan.memory import BASE_BYTES
 
 SPOT_M2 = 30.0**2
@@ -72,17 +72,18 @@ def test_ground_beside_objects_is_left_out_before_it_is_thinned(spot: Path) -> N
 def test_a_part_that_cannot_fit_is_refused_with_what_helps(
     wide: Path, spot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = planned(wide, spot).projected_memory()
-    monkeypatch.setattr("tiler.plan.model.GROUND_BYTES", 100_000)
+    before = projected_memory(planned(wide, spot))
+    for module in ("model", "projection"):
+        monkeypatch.setattr(f"tiler.plan.{module}.GROUND_BYTES", 100_000)
     monkeypatch.setattr("tiler.plan.model.MAX_GROUND", 60_000)
     with pytest.raises(ConfigError, match=r"grid needs .* MiB a worker, .*MiB or a smaller --max-edge"):
         planned(wide, spot)
-    fits = planned(wide, spot, memory="4GiB", max_edge="5").projected_memory()
+    fits = projected_memory(planned(wide, spot, memory="4GiB", max_edge="5"))
     assert BASE_BYTES < before["grid"] < fits["grid"] <= 4 << 30
 
 
 def test_what_is_written_is_projected(spot: Path) -> None:
-    export = planned(spot).projected_memory()["export"]
+    export = projected_memory(planned(spot))["export"]
     assert BASE_BYTES + 36_000 < export < 512 << 20
 
 

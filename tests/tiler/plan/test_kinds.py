@@ -10,7 +10,7 @@ from ptd.matched.cells import CELL_M
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
 from tiler.core.lattice import Cell, Lattice
-from tiler.plan import make_plan, plan_json, plan_lines
+from tiler.plan import make_plan, plan_json, plan_lines, projected_memory
 from tiler.plan.filter_tiles import tiles_of
 from tiler.plan.memory import BASE_BYTES, VERTEX_BYTES
 from tiler.plan.sizes import tile_m
@@ -66,7 +66,7 @@ def test_passes_on_every_point_make_no_tile_smaller(make_cloud: MakeCloud) -> No
     plan, steps = replace(plan, meta=meta), {step.name: step for step in plan.passes}
     assert tile_m(plan.memory, 700.0, 1.0, plan.steps, meta) == 512
     dense = replace(plan, points=20_000_000, area_m2=2e4, tile=Fraction(512))
-    assert max(dense.projected_memory()["filter"], 600 << 20) <= plan.memory
+    assert max(projected_memory(dense)["filter"], 600 << 20) <= plan.memory
     side = math.ceil(512 / plan.bucket_m)
     n = round(700 * plan.bucket_m**2)
     records = {Cell(ix, iy): {"n": n, "n_elected": n // 700} for ix in range(side) for iy in range(side)}

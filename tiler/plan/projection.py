@@ -1,0 +1,90 @@
+"""What a plan costs before any point is read: memory of a worker by stage, and how much of the work is done twice."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from tiler.plan.halos import widened
+from tiler.plan.memory import (
+    BASE_BYTES,
+    EXPORT_BYTES,
+    EXPORT_POINTS,
+    GROUND_BYTES,
+    PlannedPass,
+    bucket_bytes,
+    filter_bytes,
+    held_bytes,
+    ingest_bytes,
+)
+from tiler.plan.model import PIECE_POINTS, Plan
+
+
+def projected_memory(plan: Plan) -> dict[str, int]:
+    """Peak bytes of a worker by stage."""
+    ground = int(min(plan.points, max(plan.block_points, plan.fullest_part))) * GROUND_BYTES
+    largest = min(max(source.points for source in plan.sources), EXPORT_POINTS)
+    return {
+        "ingest": ingest_bytes(PIECE_POINTS, plan.fullest_bucket),
+        "filter": max((_pass_bytes(plan, step) for step in plan.likely), default=0),
+        "grid": BASE_BYTES + ground + plan.line_bytes,
+        "export": BASE_BYTES + EXPORT_BYTES + largest,
+    }
+
+
+def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
+    """Peak bytes of a pass: mean tile with widest halo or fullest one, divided until it fits or is one bucket."""
+    side, mean = float(plan.tile), 0
+    if plan.joins(step):
+        side = math.sqrt(plan.area_m2)
+    else:
+        mean = filter_peak(plan, step, side, widest_halo_m(plan, step))
+    whole = filter_peak(plan, step, side, step.halo_m, crowded=True)
+    least = filter_peak(plan, step, plan.bucket_m, step.halo_m, crowded=True)
+    return min(max(mean, whole), max(plan.tile_memory_of(step), least))
+
+
+def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, crowded: bool = False) -> int:
+    """Peak bytes of a worker with a tile of that side and halo, of the mean density or in the fullest place."""
+    side, bucket_m = side_m + 2 * halo_m, plan.bucket_m + 2 * step.margin_m
+    area = min(side**2, plan.area_m2)
+    points, bucket = plan.density * area, plan.density * bucket_m**2
+    if crowded:
+        points = max(points, plan.density_map.fullest(side))
+        bucket = max(bucket, plan.density_map.fullest(bucket_m))
+    raster = min(side**2, math.prod(plan.sides_m)) if step.raster_cell_m else area
+    window = filter_bytes(points, raster, plan.candidate_cell_m, step, plan.fine_m)
+    held = held_bytes(plan.memory) if step.margin_m else 0
+    return int(BASE_BYTES + window + bucket_bytes(bucket) + held)
+
+
+def widest_halo_m(plan: Plan, step: PlannedPass) -> float:
+    """Metres of halo that a tile with marks may take, of the mean density."""
+    side, memory = float(plan.tile), plan.tile_memory
+    return widened(step, step.halo_m, lambda halo: filter_peak(plan, step, side, halo) <= memory)
+
+
+def overlap_of(plan: Plan, steps: Iterable[PlannedPass]) -> float:
+    """Padded area over core area of a filter tile in the pass that sees most; joined tiles end at the survey."""
+    return max((_overlap(plan, step) for step in steps), default=1.0)
+
+
+def _overlap(plan: Plan, step: PlannedPass) -> float:
+    found, wider = 1.0, 2 * step.halo_m
+    for side, most in zip(_tile_sides_m(plan, step), plan.sides_m, strict=True):
+        found *= (min(side + wider, most) if plan.joins(step) else side + wider) / side
+    return found
+
+
+def _tile_sides_m(plan: Plan, step: PlannedPass) -> tuple[float, float]:
+    """About the sides of the tiles of a pass, see `tiler.plan.filter_tiles`."""
+    if not plan.joins(step):
+        return float(plan.tile), float(plan.tile)
+    sides, most = list(plan.sides_m), plan.tile_memory_of(step)
+    wanted = plan.wanted_tiles(plan.points)
+    while max(sides) > plan.bucket_m and (
+        wanted > 1 or filter_peak(plan, step, math.sqrt(math.prod(sides)), step.halo_m) > most
+    ):
+        sides[sides.index(max(sides))] /= 2
+        wanted //= 2
+    return sides[0], sides[1]
