@@ -21,7 +21,7 @@ from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_second
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
 from tiler.runs.job import Job, Ownership, RunResult
-from tiler.schedule import limits_memory
+from tiler.schedule import kept_forking, limits_memory
 from tiler.stages.corrections import correct
 from tiler.stages.export import export
 from tiler.stages.filter import filter_points
@@ -44,6 +44,7 @@ from tiler.store import (
 STAGES = ("ingest", "filter", "grid", "export")
 
 
+@kept_forking()  # who reads the headers and who does the tasks share what was imported
 def run(
     inputs: Sequence[str],
     out: str | Path,

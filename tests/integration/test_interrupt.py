@@ -130,8 +130,9 @@ def test_a_worker_that_dies_is_replaced(
     wait_for(out, "task_done", "filter0", process)
     workers = [
         p
-        for p in psutil.Process(process.pid).children(recursive=True)
-        if "tiler.schedule.guarded" in p.cmdline()
+        for server in psutil.Process(process.pid).children()
+        if "tiler.schedule.guarded" in server.cmdline()
+        for p in server.children()
     ]
     workers[0].kill()
     _, error = process.communicate(timeout=TIMEOUT_SECONDS)

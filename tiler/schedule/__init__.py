@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tiler.schedule.fork_server import kept_forking
 from tiler.schedule.guard import Died, Guard, limits_memory
 from tiler.schedule.isolated_reading import half_of_memory, read_apart, seconds_for
 from tiler.schedule.parallel_calls import Guards
@@ -39,6 +40,7 @@ __all__ = [
     "Work",
     "digest_of",
     "half_of_memory",
+    "kept_forking",
     "limits_memory",
     "make_executor",
     "read_apart",

@@ -16,10 +16,11 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
-from typing import IO, Any, TypeVar
+from typing import IO, Any, TypeAlias, TypeVar
 
 from tiler.errors import ConfigError, TilerError
 from tiler.import_path import trusted_path
+from tiler.schedule.fork_server import FORKS, ForkedChild, fork_child
 
 try:
     import resource
@@ -29,6 +30,7 @@ else:
     _resource = resource
 
 Result = TypeVar("Result")
+_Child: TypeAlias = "subprocess.Popen[bytes] | ForkedChild"
 
 MEMORY_BYTES = 1 << 30
 
@@ -52,7 +54,7 @@ class Guard:
     def __init__(self, memory_bytes: int | None = MEMORY_BYTES) -> None:
         self.memory_bytes = memory_bytes
         self.killed = False
-        self._child: subprocess.Popen[bytes] | None = None
+        self._child: _Child | None = None
         self._began = 0.0
         self._seconds = 0.0
 
@@ -90,13 +92,13 @@ class Guard:
 
     def _ask(self, function: Callable[..., Any], arguments: tuple[Any, ...], seconds: float) -> None:
         """Let the child begin with a call."""
+        call = pickle.dumps((function, arguments, seconds))
         if self._child is None:
-            self._child = _child(self.memory_bytes)
+            self._child = _child(self.memory_bytes, call)
         if self.killed:
             self._child.kill()  # it was not there yet when it was to be
         self._began, self._seconds = time.monotonic(), seconds
         try:
-            call = pickle.dumps((function, arguments, seconds))
             _pipe(self._child.stdin).write(SIZE.pack(len(call)) + call)
             _pipe(self._child.stdin).flush()
         except OSError:
@@ -144,10 +146,12 @@ class Guard:
             return child.wait()
 
 
-def _child(memory_bytes: int | None) -> subprocess.Popen[bytes]:
+def _child(memory_bytes: int | None, call: bytes) -> _Child:
     """Start a child that imports from where this process does, and never from the current folder (``-P``)."""
     if not sys.executable:
         raise ConfigError("no workers can start: Python does not know its own program (sys.executable)")
+    if FORKS:
+        return fork_child(memory_bytes, call)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
     limit = [] if memory_bytes is None else [str(memory_bytes)]
     return subprocess.Popen(

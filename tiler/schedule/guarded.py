@@ -1,4 +1,4 @@
-"""The child of a `Guard`: answers calls from its standard input until that ends."""
+"""The child of a `Guard`: answers calls from its standard input until that ends; or the process that forks such."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ import os
 import pickle
 import queue
 import signal
+import socket
 import sys
 import threading
-from typing import BinaryIO
+from typing import BinaryIO, NoReturn
 
+from tiler.schedule.fork_server import SERVES, serve
 from tiler.schedule.guard import SIZE, limit_memory
 
 
-def main() -> None:
-    """Answer calls, one after another."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C reaches every process; the end of the pipe ends this one
-    if len(sys.argv) > 1:
-        limit_memory(int(sys.argv[1]))
+def answer_calls(memory_bytes: int | None) -> NoReturn:
+    """Answer calls, one after another, until there are no more; with so much memory at most."""
+    # Ctrl-C reaches every process; the end of the pipe ends this one.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if memory_bytes is not None:
+        limit_memory(memory_bytes)
     # What libraries print must not come between the answers.
-    answers, calls = os.fdopen(os.dup(1), "wb"), sys.stdin.buffer
+    answers, calls = os.fdopen(os.dup(1), "wb"), os.fdopen(0, "rb", closefd=False)
     os.dup2(2, 1)
     asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(calls, asked), daemon=True).start()
@@ -59,4 +60,6 @@ def _portable(error: BaseException) -> BaseException:
 
 
 if __name__ == "__main__":
-    main()
+    if SERVES in sys.argv:
+        serve(socket.socket(fileno=os.dup(0)), answer_calls)
+    answer_calls(int(sys.argv[1]) if len(sys.argv) > 1 else None)

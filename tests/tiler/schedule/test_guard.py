@@ -11,7 +11,7 @@ import pytest
 
 from tests.tiler.schedule import calls
 from tiler.errors import InputError
-from tiler.schedule import Died, Guard
+from tiler.schedule import Died, Guard, kept_forking
 
 SECONDS = 300.0
 
@@ -79,3 +79,22 @@ def test_a_call_that_the_child_cannot_find_is_an_error(guard: Guard, monkeypatch
     with pytest.raises(AttributeError, match="triple"):
         guard.call(calls.double, 1, seconds=SECONDS)
     assert guard.call(calls.pid, seconds=SECONDS) == child
+
+
+def test_children_have_the_environment_of_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    with kept_forking(), Guard() as first, Guard() as second:
+        assert first.call(os.getenv, "OF_NOW", seconds=SECONDS) is None
+        monkeypatch.setenv("OF_NOW", "set")
+        assert second.call(os.getenv, "OF_NOW", seconds=SECONDS) == "set"
+        assert first.call(calls.double, 1, seconds=SECONDS) == 2
+
+
+def test_what_forks_them_is_shared_and_replaced_when_it_dies() -> None:
+    with Guard() as first, Guard() as second:
+        parents = {psutil.Process(g.call(calls.pid, seconds=SECONDS)).ppid() for g in (first, second)}
+        assert len(parents) == 1
+        psutil.Process(parents.pop()).kill()
+        for guard in (first, second):
+            with pytest.raises(Died, match="SIGKILL"):
+                guard.call(calls.pid, seconds=SECONDS)
+            assert guard.call(calls.double, 21, seconds=SECONDS) == 42

@@ -61,4 +61,5 @@ def test_none_outlives_what_ends_early() -> None:
 
 
 def _children() -> list[psutil.Process]:
-    return [c for c in psutil.Process().children() if "tiler.schedule.guarded" in c.cmdline()]
+    servers = [c for c in psutil.Process().children() if "tiler.schedule.guarded" in c.cmdline()]
+    return [c for server in servers for c in server.children()]

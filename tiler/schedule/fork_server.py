@@ -1,0 +1,239 @@
+"""Starts the children of `Guard` as forks of one process, which imports what they need before it forks.
+
+So imports, a second of work and more, are done once and not in each child. The process ends with the last child, or
+with the last `kept_forking`. It is single: no thread is ever lost in a fork. Linux alone forks safely, whatever
+libraries are loaded; elsewhere each child starts by itself.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import pickle
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import IO, Any
+
+from tiler.import_path import trusted_path
+
+FORKS = sys.platform == "linux" and hasattr(os, "fork") and hasattr(socket, "send_fds")
+
+SERVES = "fork"
+"""What tells `tiler.schedule.guarded` to be the server."""
+
+_SIZE, _CODE = 8, 8
+"""Bytes of the length of a request, and of an exit code."""
+
+
+class ForkedChild:
+    """A child of the server, used as one of `subprocess.Popen`.
+
+    Attributes
+    ----------
+    stdin, stdout : binary file
+    """
+
+    def __init__(self, server: _Server, stdin: IO[bytes], stdout: IO[bytes], line: socket.socket) -> None:
+        self._server, self.stdin, self.stdout, self._line = server, stdin, stdout, line
+
+    def kill(self) -> None:
+        """Have the server kill it: it alone knows that the number is still this child's."""
+        with suppress(OSError):  # it ended
+            self._line.shutdown(socket.SHUT_WR)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Its exit code, as that of `subprocess.Popen`, when it has ended; raises `subprocess.TimeoutExpired`."""
+        self._line.settimeout(timeout)
+        try:
+            code = self._line.recv(_CODE)
+        except TimeoutError:
+            raise subprocess.TimeoutExpired("a forked child", timeout or 0) from None
+        except OSError:
+            code = b""
+        self._line.close()
+        _used(self._server, -1)
+        # Nothing comes from a server that was killed, and its children with it.
+        return int.from_bytes(code, "little", signed=True) if code else -signal.SIGKILL
+
+
+class _Server:
+    """The process that forks, as its user knows it; ``uses`` counts its children."""
+
+    def __init__(self, setting: tuple[Any, ...]) -> None:
+        self.setting, self.uses = setting, 0
+        self.door, theirs = socket.socketpair()
+        with theirs:
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "tiler.schedule.guarded", SERVES],
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())},
+            )
+
+    def fork(self, request: bytes) -> ForkedChild:
+        """Ask for a child; raises OSError where the server is gone."""
+        calls, stdin = os.pipe()
+        stdout, answers = os.pipe()
+        line, theirs = socket.socketpair()
+        try:
+            socket.send_fds(
+                self.door, [len(request).to_bytes(_SIZE, "little")], [calls, answers, theirs.fileno()]
+            )
+            self.door.sendall(request)
+        except OSError:
+            line.close()
+            os.close(stdin)
+            os.close(stdout)
+            raise
+        finally:
+            theirs.close()
+            os.close(calls)
+            os.close(answers)
+        return ForkedChild(self, os.fdopen(stdin, "wb"), os.fdopen(stdout, "rb"), line)
+
+    def end(self) -> None:
+        """Let it end, once its children are gone."""
+        self.door.close()
+        self.process.wait()
+
+
+_lock = threading.RLock()
+_server: _Server | None = None
+_kept = 0
+
+
+def fork_child(memory_bytes: int | None, call: bytes) -> ForkedChild:
+    """A child that may allocate so much, whose first call is this one: its modules are imported before the fork."""
+    global _server
+    request = pickle.dumps((memory_bytes, call))
+    with _lock:
+        setting = (dict(os.environ), trusted_path(), _folder())
+        old = _server
+        if old is not None and (old.setting != setting or old.process.poll() is not None):
+            _server = None
+            _used(old, 0)
+        try:
+            _server = _server or _Server(setting)
+            child = _server.fork(request)
+        except OSError:  # it died just now
+            _server = _Server(setting)
+            child = _server.fork(request)
+        _used(_server, 1)
+        return child
+
+
+@contextmanager
+def kept_forking() -> Iterator[None]:
+    """Keep the server, once it is there, until the end: children that end one after another share what it imported."""
+    _keep(1)
+    try:
+        yield
+    finally:
+        _keep(-1)
+
+
+def _keep(change: int) -> None:
+    global _kept
+    with _lock:
+        _kept += change
+        if _server is not None:
+            _used(_server, 0)
+
+
+def _used(server: _Server, change: int) -> None:
+    """Count the children of a server; one that nobody needs any more ends."""
+    global _server
+    with _lock:
+        server.uses += change
+        if server.uses == 0 and not (_kept and server is _server):
+            if server is _server:
+                _server = None
+            server.end()
+
+
+def _folder() -> str:
+    try:
+        return os.getcwd()
+    except FileNotFoundError:  # it was removed
+        return ""
+
+
+def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> None:
+    """The server: fork children as they are asked for, kill those that are not wanted, tell how each ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; who asks sees to it
+    ended, wake = socket.socketpair()
+    wake.setblocking(False)
+    signal.set_wakeup_fd(wake.fileno())
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    selector, lines, asked = selectors.DefaultSelector(), dict[socket.socket, int](), True
+    selector.register(door, selectors.EVENT_READ)
+    selector.register(ended, selectors.EVENT_READ)
+    while asked or lines:
+        for source in [key.fileobj for key, _ in selector.select()]:
+            if source is ended:
+                ended.recv(4096)
+            elif source is not door:  # who uses this child does not want it any more, or is gone
+                selector.unregister(source)
+                os.kill(lines[source], signal.SIGKILL)  # type: ignore[index]
+            elif (request := _request(door)) is None:
+                selector.unregister(door)
+                asked = False
+            else:
+                memory_bytes, calls, answers, line = request
+                pid = os.fork()
+                if pid == 0:
+                    selector.close()
+                    for other in (door, ended, wake, line, *lines):
+                        other.close()
+                    _become_child(calls, answers)
+                    answer_calls(memory_bytes)
+                os.close(calls)
+                os.close(answers)
+                lines[line] = pid
+                selector.register(line, selectors.EVENT_READ)
+        for line, pid in list(lines.items()):
+            if (status := os.waitpid(pid, os.WNOHANG))[0]:
+                with suppress(OSError):  # nobody waits for it
+                    line.send(os.waitstatus_to_exitcode(status[1]).to_bytes(_CODE, "little", signed=True))
+                with suppress(KeyError):  # it was killed
+                    selector.unregister(line)
+                line.close()
+                del lines[line]
+    os._exit(0)
+
+
+def _request(door: socket.socket) -> tuple[int | None, int, int, socket.socket] | None:
+    """Memory, pipes and line of the next child, once what it needs is imported; None when no more are asked for."""
+    size, files, _, _ = socket.recv_fds(door, _SIZE, 3)
+    if len(size) < _SIZE:
+        return None
+    request, length = bytearray(), int.from_bytes(size, "little")
+    while len(request) < length:
+        if not (part := door.recv(length - len(request))):
+            return None
+        request += part
+    memory_bytes, call = pickle.loads(request)  # of the process that started this one
+    with suppress(BaseException):  # the child meets it again, and says so
+        pickle.loads(call)
+    gc.freeze()  # what is shared is not written to
+    return memory_bytes, files[0], files[1], socket.socket(fileno=files[2])
+
+
+def _become_child(calls: int, answers: int) -> None:
+    """In a child just forked: its own pipes, no ear for signals of the server, and an end with the server's."""
+    import ctypes
+
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: nobody else could end it
+    os.dup2(calls, 0)
+    os.dup2(answers, 1)
+    os.close(calls)
+    os.close(answers)
