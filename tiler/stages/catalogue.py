@@ -49,7 +49,7 @@ _OF_VIRTUAL = [_POINTCLOUD, f"{_SCHEMAS}/projection/v1.1.0/schema.json"]
 _OF_RASTERS = [f"{_SCHEMAS}/projection/v2.0.0/schema.json", f"{_SCHEMAS}/raster/v2.0.0/schema.json"]
 _COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 _GPKG = "application/geopackage+sqlite3"
-_VRT, _JSON = "application/xml", "application/json"
+_VRT, _JSON, _GEOJSON = "application/xml", "application/json", "application/geo+json"
 _CLOUDS = {
     "laz": ("application/vnd.laszip", "LASzip"),
     "las": ("application/vnd.las", "LAS"),
@@ -141,14 +141,10 @@ class _Catalogue:
 
     def _virtual(self, cloud: Cloud) -> dict[str, Any]:
         """A classified cloud as a feature of the virtual one."""
-        wkt, fields = (
-            self._plan.meta.frame.crs_wkt,
-            cloud.record["statistics"]["fields"],
-        )
+        wkt, fields = self._plan.meta.frame.crs_wkt, cloud.record["statistics"]["fields"]
         schema = stac.schema([self._format(cloud)])
         names = [entry["name"] for entry in schema]
-        low, high = ([fields[axis][end] for axis in "XYZ"] for end in ("minimum", "maximum"))
-        low, high = ([round(v, _DIGITS) for v in place] for place in (low, high))
+        low, high = ([round(fields[axis][end], _DIGITS) for axis in "XYZ"] for end in ("minimum", "maximum"))
         box = (low[0], low[1], high[0], high[1])
         native = {"type": "Polygon", "coordinates": [stac.corners(box)]}
         west, south, east, north = self._globe.bbox(box) or box
@@ -163,7 +159,7 @@ class _Catalogue:
                 **({"proj:wkt2": wkt} if wkt else {}), "proj:geometry": native, "proj:bbox": [*low, *high],
             },
             "links": [],
-            "assets": {"data": {"href": f"./{cloud.path}", "type": self._media, "roles": ["data"]}},
+            "assets": {"data": _asset(cloud.path, self._media)},
         }  # fmt: skip
 
     def _format(self, cloud: Cloud) -> int:
@@ -189,50 +185,38 @@ class _Catalogue:
         exported = self._plan.config.exported
         rasters = {name: f"{name}/{name_of(self._gridding, name, sheet)}.tif" for name in exported}
         place = "_".join(f"{edge:.10g}" for edge in sheet.corner)
-        links = [
-            {"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in ("root", "parent", "collection")
-        ]
+        rels = ("root", "parent", "collection")
+        links = [{"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in rels]
         item = self._item(f"{self._id}_{place}", sheet.spec, self._rasters(rasters, ".."), links)
         return {**item, "collection": self._id}
 
     def _collection(self, items: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """The collection of the sheets."""
-        boxes = [item["bbox"] for item in items.values() if "bbox" in item]
-        hull = (
-            [*map(min, *(b[:2] for b in boxes * 2)), *map(max, *(b[2:] for b in boxes * 2))]
-            if boxes
-            else None
-        )
+        boxes = [item["bbox"] for item in items.values() if "bbox" in item] or [(-180, -90, 180, 90)]
+        west, south, east, north = zip(*boxes, strict=True)
+        hull = [min(west), min(south), max(east), max(north)]
         when = self._dates()
-        interval = [
-            when.get("start_datetime") or when["datetime"],
-            when.get("end_datetime") or when["datetime"],
-        ]
-        assets = {
-            **{
-                name: {"href": f"./{name}.vrt", "type": _VRT, "roles": ["data"], "title": PRODUCTS[name].description}
-                for name in self._plan.config.exported if f"{name}.vrt" in self._written
-            },
-            **self._besides(),
-        }  # fmt: skip
+        interval = [when.get(f"{end}_datetime") or when["datetime"] for end in ("start", "end")]
+        mosaics = {
+            name: _asset(f"{name}.vrt", _VRT, title=PRODUCTS[name].description)
+            for name in self._plan.config.exported
+            if f"{name}.vrt" in self._written
+        }
         return {
             "type": "Collection", "stac_version": "1.1.0", "stac_extensions": [], "id": self._id,
             "title": "Terrain in sheets", "description": self._description, "license": "other",
-            "extent": {
-                "spatial": {"bbox": [hull or [-180, -90, 180, 90]]}, "temporal": {"interval": [interval]},
-            },
+            "extent": {"spatial": {"bbox": [hull]}, "temporal": {"interval": [interval]}},
             "links": [
                 {"rel": "root", "href": f"./{STAC}", "type": _JSON},
-                *({"rel": "item", "href": f"./{quote(path)}", "type": "application/geo+json"} for path in items),
+                *({"rel": "item", "href": f"./{quote(path)}", "type": _GEOJSON} for path in items),
             ],
-            "assets": assets,
+            "assets": {**mosaics, **self._besides()},
         }  # fmt: skip
 
     def _item(
         self, name: str, spec: RasterSpec, assets: Mapping[str, Any], links: Sequence[Mapping[str, str]]
     ) -> dict[str, Any]:
         """An item whose rasters have these pixels."""
-        a, b, c, d, e, f = spec.transform(COUNTS_PER_UNIT)
         box = _box(spec)
         bbox = self._globe.bbox(box)
         return {
@@ -242,7 +226,7 @@ class _Catalogue:
                 "title": "Terrain", "description": self._description, **self._dates(),
                 "proj:code": self._globe.code, "proj:wkt2": self._plan.meta.frame.crs_wkt,
                 "proj:bbox": list(box), "proj:geometry": {"type": "Polygon", "coordinates": [stac.corners(box)]},
-                "proj:shape": [spec.height, spec.width], "proj:transform": [a, b, c, d, e, f],
+                "proj:shape": [spec.height, spec.width], "proj:transform": list(spec.transform(COUNTS_PER_UNIT)),
             },
             "links": list(links), "assets": dict(assets),
         }  # fmt: skip
@@ -276,23 +260,17 @@ class _Catalogue:
 
     def _besides(self) -> dict[str, Any]:
         """The assets that are no rasters."""
-        found: dict[str, Any] = {}
         drawn = [OUTLINE, WATER, BRIDGES, SHEETS, *(f"{name}.gpkg" for name in self._plan.config.drawn)]
-        for name in (name for name in drawn if name in self._written):
-            found[name.removesuffix(".gpkg")] = {"href": f"./{name}", "type": _GPKG, "roles": ["data"]}
+        written = [name for name in drawn if name in self._written]
+        found = {name.removesuffix(".gpkg"): _asset(name, _GPKG) for name in written}
         if self.clouds:
-            found[VIRTUAL] = {
-                "href": f"./{VIRTUAL}", "type": "application/geo+json", "roles": ["metadata"],
-                "title": "classified clouds as one",
-            }  # fmt: skip
+            found[VIRTUAL] = _asset(VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one")
         for cloud in self.clouds:
-            found[cloud.path.removesuffix(self._suffix)] = {
-                "href": f"./{quote(cloud.path)}", "type": self._media, "roles": ["data"],
-                "title": "points with their classes",
-                # The schema of the extension is for items alone.
-                **({"pc:count": cloud.record["points"]} if self._plan.config.sheets is None else {}),
-            }  # fmt: skip
-        found["report"] = {"href": f"./{REPORT}", "type": "text/html", "roles": ["metadata"]}
+            # The schema of the extension is for items alone.
+            more = {"pc:count": cloud.record["points"]} if self._plan.config.sheets is None else {}
+            asset = _asset(quote(cloud.path), self._media, title="points with their classes", **more)
+            found[cloud.path.removesuffix(self._suffix)] = asset
+        found["report"] = _asset(REPORT, "text/html", "metadata")
         return found
 
     def _dates(self) -> dict[str, str | None]:
@@ -303,15 +281,19 @@ class _Catalogue:
     @cached_property
     def _id(self) -> str:
         """The same for rasters of the same bytes, however they came about."""
-        rasters = [
-            [key, record["digest"]] for key, (_, record) in self._written.items() if key.endswith(".tif")
-        ]
+        files = self._written.items()
+        rasters = [[key, record["digest"]] for key, (_, record) in files if key.endswith(".tif")]
         return f"terrain-{digest_of(sorted(rasters))[:16]}"
 
     @property
     def _description(self) -> str:
         pixel, method = float(self._plan.resolution), self._plan.config.method
         return f"Terrain of {pixel:g} m pixels, ground by {method}, made by tiler {__version__}"
+
+
+def _asset(path: str, media: str, role: str = "data", **more: Any) -> dict[str, Any]:
+    """A file of OUT."""
+    return {"href": f"./{path}", "type": media, "roles": [role], **more}
 
 
 def _box(spec: RasterSpec) -> stac.Box:
