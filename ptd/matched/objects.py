@@ -15,7 +15,7 @@ from ptd.frame import Scale
 from ptd.ground.connected import connected_surfaces
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel
-from ptd.matched.cells import CELL_M
+from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, block_cells, tilts
 
 STEP_M, STEP_SIGMAS = 0.5, 3.0
@@ -41,9 +41,10 @@ ridges and crests. But no more than this share of its cells may be rim: the top 
 ON_HULL_M, ON_HULL_SHARE = 70.0, 0.5
 """And what is wider than this both ways, falls as little, and lies near the hull by this share: the ground of a small
 survey. In a strip or a garden plants that lean on it would have too large a part."""
-INSIDE_SHARE, INSIDE_M2 = 0.5, 1000.0
+INSIDE_SHARE, INSIDE_M2, YARD_M2 = 0.5, 1000.0, 10.0
 """A surface, however small, is judged if so much of its rim is that of objects found before: equipment on a roof. Not a
-larger one: it may be a terrace among houses."""
+larger one than the second: it may be a terrace among houses. From the third on, objects that rise from it do not count:
+it may be a courtyard, or a glimpse of the ground between crowns; smaller ones are parts of walls."""
 
 
 @kernel
@@ -53,10 +54,11 @@ def _rims(
     """Counts of each surface, and its box (first and last row, column).
 
     Counted are its cells (area), those near the hull, those at its rim, those of the rim with another surface far below
-    and those beside objects found before (inside), and cells beside empty ones or the border (cut).
+    and those beside objects found before (inside), cells beside empty ones or the border (cut), and those at the rim
+    beside objects found before that do not rise far from it (level).
     """
     rows, columns = heights.shape
-    counts, box = np.zeros((n, 6), np.int64), np.zeros((n, 4), np.int64)
+    counts, box = np.zeros((n, 7), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):
         for column in range(columns):
             own = surface[row, column]
@@ -81,13 +83,15 @@ def _rims(
             if not edge:
                 continue
             counts[own, 2] += 1
-            falls, inside = False, False
+            falls, inside, level = False, False, False
             for r in range(max(row - FALL_CELLS, 0), min(row + FALL_CELLS + 1, rows)):
                 for c in range(max(column - FALL_CELLS, 0), min(column + FALL_CELLS + 1, columns)):
                     inside |= removed[r, c]
+                    level |= removed[r, c] and heights[r, c] < height + fall
                     falls |= surface[r, c] >= 0 and surface[r, c] != own and heights[r, c] < height - fall
             counts[own, 3] += falls
             counts[own, 4] += inside
+            counts[own, 6] += level
     return counts, box
 
 
@@ -104,7 +108,7 @@ def judged(
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Vertical counts of the cells that are left; `EMPTY` elsewhere.
+        Vertical counts of all cells; `EMPTY` elsewhere.
     hull : int32 [rows, columns]
         The stiff hull of all cells.
     removed : bool [rows, columns]
@@ -121,16 +125,18 @@ def judged(
     """
     step = scale.counts_z(max(STEP_M, STEP_SIGMAS * sigma_m))
     block = block_cells(cell_m)
-    sloped = tilts(heights, ROOFS_TILT_BLOCKS, block)
-    surface, n = connected_surfaces(heights, step, DIAGONAL * step, tilts=sloped, block=block)
+    left = np.where(removed, EMPTY, heights).astype(np.int32)
+    sloped = tilts(left, ROOFS_TILT_BLOCKS, block)
+    surface, n = connected_surfaces(left, step, DIAGONAL * step, tilts=sloped, block=block)
     near_counts, fall_counts = round(scale.counts_z(NEAR_M)), round(scale.counts_z(FALL_M))
     counts, box = _rims(heights, surface, n, hull, removed, near_counts, fall_counts)
-    area, near, rim, falls, inside, cut = counts.T
+    area, near, rim, falls, inside, cut, level = counts.T
     sides_m = np.stack([box[:, 1] - box[:, 0] + 1, box[:, 3] - box[:, 2] + 1]) * cell_m
     width_m = sides_m.max(axis=0)
-    enclosed = (inside > INSIDE_SHARE * rim) & (area * cell_m**2 < INSIDE_M2)
+    within = np.where(area * cell_m**2 < YARD_M2, inside, level)
+    enclosed = (within > INSIDE_SHARE * rim) & (area * cell_m**2 < INSIDE_M2)
     large = (area * cell_m**2 >= AREA_M2) | enclosed
-    fallen = np.where(enclosed, inside + falls, falls) / np.maximum(rim, 1)
+    fallen = np.where(enclosed, within + falls, falls) / np.maximum(rim, 1)
     around = falls > np.maximum(ALL_FALLS * (rim - inside), FALL_LEAST * rim)
     around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around

@@ -15,7 +15,6 @@ from ptd.kernel import kernel, wide
 from ptd.matched import objects, surface, voting
 from ptd.matched.cells import (
     CELL_M,
-    EMPTY,
     SPARSE_CELL_M,
     Raster,
     cell_heights,
@@ -136,8 +135,7 @@ class ObjectPass(MatchedPass):
         removed = before.reshape(raster.heights.shape)
         rule = replace(surface.STIFF, cell_m=side)
         hull = hull_below(raster.heights, rule, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
-        left = np.where(removed, EMPTY, raster.heights).astype(np.int32)
-        large, terrain = objects.judged(left, hull, removed, noise_m(state), scale, side)
+        large, terrain = objects.judged(raster.heights, hull, removed, noise_m(state), scale, side)
         codes[large.reshape(-1)[raster.keys]] = OBJECT
         codes[terrain.reshape(-1)[raster.keys]] = TERRAIN
         return Codes(raster, codes, cells)

@@ -79,8 +79,9 @@ NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02
 """Standard deviation of the surroundings from which noise is taken, its limit in times the run's, and the weight of
 that."""
 SLOPE_SMOOTHED_M, STEEPEST = 2.0, 2.0
-EXTENDED_M = (2.0, 6.0)
-"""Beyond its cells the surface goes on as the mean of what is near: standard deviations of the surroundings."""
+EXTENDED_M = (1.0, 6.0)
+"""Beyond its cells the surface goes on as the mean of what is near: standard deviations of the surroundings. Ground is
+within the first alone: farther away a single cell would say where it is below a whole roof."""
 TRUNCATE = 2.0
 """Standard deviations at which Gaussian sums end."""
 SHARE_BLOCK_M = 4.0
@@ -94,7 +95,7 @@ class Surface(NamedTuple):
     ----------
     height : NaN where no cell is near
     sigma : the noise of cells about the surface
-    narrowing : 1 where there is a gap above the ground; the less, the more cells lie just above it
+    narrowing : 1 where there is a gap above the ground; the less, the more cells lie just above it; NaN: no ground
     """
 
     height: Float64
@@ -185,7 +186,7 @@ def reach_cells(cell_m: float) -> int:
     about = max(slope, _radius(NOISE_M / cell_m)) + contrast
     rounds = ROUNDS * sum(_radius(cells) for cells in _scales(cell_m)) + ROUNDS - PLAIN_ROUNDS
     edges = growth.reach_cells(cell_m) + (1 + EDGE_ROUNDS) * _radius(_scales(cell_m)[-1])
-    return bent + 2 * about + rounds + edges + _radius(max(EXTENDED_M) / cell_m)
+    return hulls[0].cut_cells + bent + 2 * about + rounds + edges + _radius(max(EXTENDED_M) / cell_m)
 
 
 def ground_surface(
@@ -213,6 +214,7 @@ def ground_surface(
     cell_m : float
         Side of the cells.
     """
+    heights = _without_pockets(heights, replace(STIFF, cell_m=cell_m).cut_cells)
     there = heights != EMPTY
     metres = 1.0 / scale.counts_z(1.0)
     cells = _Cells(np.where(there, heights * metres, 0.0), there, cell_m)
@@ -224,7 +226,7 @@ def ground_surface(
 
     start = _bent(cells, terrain, hull, sigma_m)
     height, sigma, narrowing = _refined(cells, terrain, start, sigma_m)
-    return Surface(_extended(cells, height), sigma, narrowing)
+    return _extended(cells, height, sigma, narrowing)
 
 
 def noise_reach_cells(cell_m: float) -> int:
@@ -255,7 +257,7 @@ def with_noise(
     cells = _Cells(np.where(there, heights * metres, 0.0), there, cell_m)
     below: Float64 = np.where(there, ground * metres, 0.0)
     sigma, narrowing, _, _ = _about(cells, np.zeros_like(there), below, sigma_m)
-    return Surface(_extended(cells, below), sigma, narrowing)
+    return _extended(cells, below, sigma, narrowing)
 
 
 def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
@@ -386,7 +388,7 @@ def _noise(cells: _Cells, residual: Float64, sigma_m: float) -> Float64:
     return np.minimum(local, NOISE_MOST * sigma_m)
 
 
-def _extended(cells: _Cells, surface: Float64) -> Float64:
+def _extended(cells: _Cells, surface: Float64, sigma: Float64, narrowing: Float64) -> Surface:
     """The surface where there are cells, around them the mean of what is near, NaN beyond."""
     there = cells.there
     found = np.where(there, surface, np.nan)
@@ -394,4 +396,12 @@ def _extended(cells: _Cells, surface: Float64) -> Float64:
         weight = cells.smoothed(there.astype(np.float64), std_m)
         mean = cells.smoothed(np.where(there, surface, 0.0), std_m) / np.maximum(weight, 1e-12)
         found = np.where(np.isnan(found) & (weight > 1e-6), mean, found)
-    return found
+        if std_m == EXTENDED_M[0]:
+            narrowing = np.where(np.isnan(found), np.nan, narrowing)
+    return Surface(found, sigma, narrowing)
+
+
+def _without_pockets(heights: Int32, most: int) -> Int32:
+    """Heights without groups of cells, apart from all others, that are no more than a hull may cut through."""
+    number, _ = scipy.ndimage.label(heights != EMPTY, np.ones((3, 3)))
+    return np.where(np.bincount(number.ravel())[number] > most, heights, EMPTY).astype(np.int32)

@@ -22,7 +22,7 @@ def of(z: np.ndarray, removed: np.ndarray | None = None) -> tuple[np.ndarray, np
     heights = np.where(np.isnan(z), EMPTY, np.rint(1000 * np.nan_to_num(z))).astype(np.int32)
     hull = hull_below(heights, STIFF, MM, 0, 0)
     left = np.where(removed, EMPTY, heights).astype(np.int32)
-    objects, terrain = judged(left, hull, removed, SIGMA_M, MM)
+    objects, terrain = judged(heights, hull, removed, SIGMA_M, MM)
     assert not (objects & (left == EMPTY)).any()
     assert not (objects & terrain).any()
     return objects, terrain
@@ -109,6 +109,13 @@ def test_equipment_on_a_roof_goes_with_it() -> None:
     assert np.array_equal(again, equipment)
     alone, _ = of(2.0 * equipment)
     assert not alone.any()
+
+
+@pytest.mark.parametrize(("side_m", "is_object"), [(3, True), (5, False)])
+def test_a_yard_between_houses_stays_but_not_what_sticks_out_of_a_wall(side_m: int, is_object: bool) -> None:
+    block, yard = box(120, 40, 80, 40, 80), box(120, 60, 60 + side_m, 60, 60 + side_m)
+    again, _ = of(12.0 * block - 9.0 * yard, block & ~yard)
+    assert (again[yard] == is_object).all()
 
 
 def test_a_platform_that_leans_on_a_hall_goes_after_it() -> None:

@@ -138,12 +138,13 @@ def test_ground_is_followed_up_to_what_was_taken_out() -> None:
 def test_it_goes_on_beyond_its_cells_and_ends() -> None:
     z = np.full((96, 96), np.nan)
     z[32:64, 32:64] = 4.0
-    height = of(z).height
+    height, _, narrowing = of(z)
     from_cells = np.maximum(abs(np.arange(96) - 47.5) - 15.5, 0.0)
     far = np.maximum(from_cells[:, None], from_cells)
-    end = TRUNCATE * max(EXTENDED_M)
+    least, end = TRUNCATE * min(EXTENDED_M), TRUNCATE * max(EXTENDED_M)
     assert np.allclose(height[far <= end - 1], 4.0, atol=0.06)  # hulls may be 4 cm off
     assert np.isnan(height[far > end]).all()
+    assert np.array_equal(np.isnan(narrowing), far > least)  # below a roof nothing is ground
 
 
 def test_gaussian_sums_have_weights_of_one_and_an_end() -> None:
