@@ -13,7 +13,7 @@ from unittest import mock
 import numpy as np
 
 from ptd import classify
-from ptd.matched import passes, surface
+from ptd.matched import objects, passes, surface
 from ptd.methods.auto.method import Auto
 from tests.benchmarks.scorecard_scenes import Cloud
 from tiler.apps.evaluate import IGNORED, evaluate_labels
@@ -26,14 +26,29 @@ FACTORS = (0.75, 1.0, 1.25)
 
 GROUND = 2
 
-MATCHED_GRID: dict[str, tuple[Any, ...]] = {
-    "GROUND_M": tuple(round(f * passes.GROUND_M, 4) for f in FACTORS),
-    "RIDGE_CONTRAST": tuple(tuple(f * limit for limit in surface.RIDGE_CONTRAST) for f in (0.5, 1.0, 2.0)),
-}
-"""Matched clouds: height above the surface up to which points are ground, contrast up to which ridges are followed."""
+MATCHED_SETTINGS = {
+    "FALL_M": objects, "CONTRAST": surface, "RIDGE_CONTRAST": surface, "ABOVE_M": surface, "GAP": surface,
+    "SCALES_M": surface, "BESIDE": surface, "GROUND_M": passes,
+}  # fmt: skip
+"""Constants of matched clouds, at least one of each step, and their modules: the rim of large objects, which hull
+holds, what lies about the surface, over what it is averaged, what counts less beside objects, the last label."""
 
-OWNERS = {"GROUND_M": passes, "RIDGE_CONTRAST": surface}
-"""Modules whose constants these are."""
+MATCHED_FACTORS, MOST_CHANGED = (0.67, 1.0, 1.5), 2
+"""Of their defaults, and how many differ from these at once."""
+
+
+def _times(factor: float, value: Any) -> Any:
+    """A constant, or each number of one, times a factor."""
+    if isinstance(value, tuple):
+        return tuple(_times(factor, v) for v in value)
+    return round(factor * value, 4)
+
+
+MATCHED_GRID: dict[str, tuple[Any, ...]] = {
+    name: tuple(_times(f, getattr(owner, name)) for f in MATCHED_FACTORS)
+    for name, owner in MATCHED_SETTINGS.items()
+}
+"""Each of them times each of `MATCHED_FACTORS`."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +74,15 @@ class LeaveOneOut:
     folds : list of Fold
     best : float
         Least mean total error of one combination on all samples.
+    most_changed : int or None
+        How many values of a combination differ from the default at most; None: any number.
     """
 
     grid: dict[str, tuple[Any, ...]]
     settings: int
     folds: list[Fold]
     best: float
+    most_changed: int | None = None
 
 
 def default_grid() -> dict[str, tuple[float, ...]]:
@@ -75,14 +93,14 @@ def default_grid() -> dict[str, tuple[float, ...]]:
 
 def matched_default() -> dict[str, Any]:
     """What `auto` uses of `MATCHED_GRID`."""
-    return {name: getattr(OWNERS[name], name) for name in MATCHED_GRID}
+    return {name: getattr(owner, name) for name, owner in MATCHED_SETTINGS.items()}
 
 
 def matched_error(cloud: Cloud, settings: Mapping[str, Any]) -> float:
     """Total error of `auto` with these constants, a fraction of the points that count."""
     with ExitStack() as replaced:
         for name, value in settings.items():
-            replaced.enter_context(mock.patch.object(OWNERS[name], name, value))
+            replaced.enter_context(mock.patch.object(MATCHED_SETTINGS[name], name, value))
         return total_error(cloud, {})
 
 
@@ -91,6 +109,7 @@ def leave_one_out(
     grid: Mapping[str, tuple[Any, ...]] | None,
     default: Mapping[str, Any] | None,
     error: Callable[[str, Mapping[str, Any]], float],
+    most_changed: int | None = None,
 ) -> LeaveOneOut:
     """Score all combinations on all samples, then choose for each sample without it; ties go to the default.
 
@@ -104,11 +123,15 @@ def leave_one_out(
         The values that are used without a choice; None: those of `auto`'s parameters.
     error : callable
         What is to be least, of a cloud's name and the values of a combination.
+    most_changed : int or None
+        Combinations in which more values than this differ from the default are left out.
     """
     chosen = dict(grid or default_grid())
     usual = dict(default or {name: getattr(Auto(), name) for name in chosen})
     names = list(samples)
     combinations = [dict(zip(chosen, values, strict=True)) for values in product(*chosen.values())]
+    if most_changed is not None:
+        combinations = [c for c in combinations if sum(c[p] != usual[p] for p in c) <= most_changed]
     combinations.sort(key=lambda c: c != usual)  # a stable sort: the default first
     totals = np.array([[error(name, c) for name in names] for c in combinations])
     folds = []
@@ -116,7 +139,9 @@ def leave_one_out(
         first = int(np.delete(totals, k, axis=1).mean(axis=1).argmin())
         changed = {p: v for p, v in combinations[first].items() if v != usual[p]}
         folds.append(Fold(name, changed, float(totals[first, k]), float(totals[0, k])))
-    return LeaveOneOut(chosen, len(combinations), folds, min(mean(row) for row in totals.tolist()))
+    return LeaveOneOut(
+        chosen, len(combinations), folds, min(mean(row) for row in totals.tolist()), most_changed
+    )
 
 
 def total_error(cloud: Cloud, settings: Mapping[str, Any]) -> float:

@@ -34,6 +34,7 @@ from tests.benchmarks import measuring
 from tests.benchmarks.kept import Kept, digest, digest_of_file, digest_of_modules
 from tests.benchmarks.leave_one_out import (
     MATCHED_GRID,
+    MOST_CHANGED,
     LeaveOneOut,
     leave_one_out,
     matched_default,
@@ -119,9 +120,9 @@ def run_all(
 def chosen_settings(scenes: Sequence[BenchScene], kept: Kept, auto_key: str) -> dict[str, LeaveOneOut]:
     """`auto` chosen on all scenes of a family but one, for the families where there is a grid of settings."""
     found = {}
-    for family, grid, default, error in (
-        (ISPRS_SAMPLES, None, None, total_error),
-        (SEMI_REAL, MATCHED_GRID, matched_default(), matched_error),
+    for family, grid, default, error, most_changed in (
+        (ISPRS_SAMPLES, None, None, total_error, None),
+        (SEMI_REAL, MATCHED_GRID, matched_default(), matched_error, MOST_CHANGED),
     ):
         own = {scene.name: scene for scene in scenes if scene.family == family}
         if len(own) < 2:
@@ -132,7 +133,7 @@ def chosen_settings(scenes: Sequence[BenchScene], kept: Kept, auto_key: str) -> 
             key = digest("chosen", auto_key, own[name].key(), repr(sorted(settings.items())))
             return float(kept(key, lambda: error(loaded(name), settings)))
 
-        found[family] = leave_one_out(list(own), grid, default, error_of)
+        found[family] = leave_one_out(list(own), grid, default, error_of, most_changed)
     return found
 
 

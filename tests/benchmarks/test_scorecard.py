@@ -119,6 +119,21 @@ def test_each_sample_is_scored_with_what_is_best_on_the_others() -> None:
     assert "- PDAL: not installed" in text
 
 
+def test_combinations_in_which_more_changes_than_is_allowed_are_left_out() -> None:
+    seen = []
+    found = leave_one_out.leave_one_out(
+        "ab",
+        {"rounds": (4, 8), "cell": (10, 20)},
+        {"rounds": 8, "cell": 20},
+        lambda name, settings: seen.append((name, *settings.values())) or 0.1,  # type: ignore[func-returns-value]
+        most_changed=1,
+    )
+    assert seen == [(name, *c) for c in ((8, 20), (4, 20), (8, 10)) for name in "ab"]
+    assert found.settings == 3
+    text = markdown([], "classic", 1, {"ISPRS samples": found}, {})
+    assert "All 3 settings of this grid with at most 1 changes at once" in text
+
+
 def test_the_default_is_in_the_middle_of_the_grid() -> None:
     default = Auto()
     for name, values in leave_one_out.default_grid().items():
