@@ -17,10 +17,6 @@ from tiler.schedule import Died, Guard, Guards
 def warm(methods: Sequence[str]) -> dict[str, Any]:
     """Compile what methods and rasters use, in as many processes as there are cores.
 
-    Parameters
-    ----------
-    methods : sequence of str
-
     Returns
     -------
     dict

@@ -22,11 +22,6 @@ def write_bridges(store_url: str, work: WriteBridges) -> dict[str, Any]:
     A polygon for the free part of each deck: ``length_m``, ``width_m``, ``clearance_m`` (height above what lies beside
     it), ``points_below`` (seen beneath it, which is more than likely only where the scanner looked from the side).
 
-    Parameters
-    ----------
-    store_url : str
-    work : WriteBridges
-
     Returns
     -------
     dict

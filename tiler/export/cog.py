@@ -75,11 +75,6 @@ def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
 
     The same content gives the same bytes: nothing in the file tells of time, path, workers or tiles.
 
-    Parameters
-    ----------
-    store_url : str
-    work : WriteCog
-
     Returns
     -------
     dict

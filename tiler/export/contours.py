@@ -91,11 +91,6 @@ class _Terrain:
 def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
     """Write contour lines as ``<out>/contours.gpkg``; a `tiler.schedule.task.Work`.
 
-    Parameters
-    ----------
-    store_url : str
-    work : WriteContours
-
     Returns
     -------
     dict
@@ -162,11 +157,6 @@ def _add_lines(
 
 def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
     """Write the tops and bottoms of the terrain as points, ``<out>/spots.gpkg``; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : WriteSpots
 
     Returns
     -------

@@ -16,11 +16,6 @@ def write_legend(store_url: str, work: WriteLegend) -> dict[str, Any]:
 
     A GeoTIFF itself holds the colours of its classes, but GDAL keeps their names beside it.
 
-    Parameters
-    ----------
-    store_url : str
-    work : WriteLegend
-
     Returns
     -------
     dict

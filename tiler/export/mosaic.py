@@ -27,11 +27,6 @@ _TYPES = {"float32": "Float32", "uint8": "Byte"}
 def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
     """Write ``<out>/<product>.vrt``; a `tiler.schedule.task.Work`.
 
-    Parameters
-    ----------
-    store_url : str
-    work : WriteMosaic
-
     Returns
     -------
     dict

@@ -30,11 +30,6 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     A polygon for each part of the survey, with its voids as holes: ``area_m2`` (without them), ``void_m2``,
     ``void_percent`` (of both together).
 
-    Parameters
-    ----------
-    store_url : str
-    work : WriteOutline
-
     Returns
     -------
     dict

@@ -23,11 +23,6 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
     Columns are ``location`` (path from the folder of the file, named as by gdaltindex), ``west``, ``south``, ``east``,
     ``north``, ``void_percent`` (pixels without a value), ``min`` and ``max``.
 
-    Parameters
-    ----------
-    store_url : str
-    work : WriteSheetIndex
-
     Returns
     -------
     dict

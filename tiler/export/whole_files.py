@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,7 @@ from tiler.export.geotiff import raster_errors
 from tiler.export.work import WriteText
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.locations import cloud_path, folder_for, joined, state_of
-from tiler.io.partial_files import appearing
+from tiler.io.partial_files import write_whole
 
 
 @contextmanager
@@ -41,15 +40,8 @@ def new_file(out: str, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 def write_bytes(out: str, name: str, content: bytes) -> dict[str, Any]:
     """Write a small file; its record, as of `new_file`. Raises ProcessingError."""
-    with (
-        new_file(out, name) as (target, record),
-        raster_errors(target),
-        appearing(target) as partial,
-        open(partial, "wb") as stream,
-    ):
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
+    with new_file(out, name) as (target, record), raster_errors(target):
+        write_whole(target, content)
     return record
 
 

@@ -14,8 +14,6 @@ from tiler.io.result_folder import CHECK, EVALUATION
 from tiler.redaction import shown
 from tiler.report.document import Content, Node, el, facts, table
 
-"""Names in OUT under which ``--json`` of `tiler check` and `tiler evaluate` are looked for."""
-
 FIGURES = {
     "points": "points",
     "rmse_v": "RMSEV",
@@ -69,9 +67,8 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
         if "unreadable" in measured:
             found.append(el("p", measured["unreadable"], class_="warning"))
         elif measured.get("older"):
-            found.append(
-                el("p", f"{name} is older than the DTM: it may be of another one.", class_="warning")
-            )
+            text = f"{name} is older than the DTM: it may be of another one."
+            found.append(el("p", text, class_="warning"))
     if check.get("accuracy"):
         found += _checkpoints(check["accuracy"])
     if check.get("seams"):
@@ -91,13 +88,10 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
     """What the map draws of a check: each checkpoint's name, x, y, difference and whether it is an outlier."""
     found = check.get("accuracy") or {}
+    places = ("x", "y", "difference")
     return {
         "checkpoints": [
-            [
-                shown(str(p["name"])),
-                *(_finite(p[key]) for key in ("x", "y", "difference")),
-                bool(p["outlier"]),
-            ]
+            [shown(str(p["name"])), *(_finite(p[key]) for key in places), bool(p["outlier"])]
             for p in found.get("differences", ())
         ],
         "checkpoint_unit": str(found.get("unit", "")),
@@ -161,18 +155,13 @@ def _requirements(found: list[Mapping[str, Any]]) -> Node:
 
 
 def _classes(found: Mapping[str, Any]) -> Node:
-    return el(
-        "div",
-        el("h3", "Classes against the truth"),
-        facts(
-            {
-                "type I, ground lost": _percent(found["type_1"]),
-                "type II, objects taken for ground": _percent(found["type_2"]),
-                "total error": f"{_percent(found['total'])} of {found['points']:,} points",
-                "Cohen's kappa": _percent(found["kappa"]),
-            }
-        ),
-    )
+    pairs: dict[str, Content] = {
+        "type I, ground lost": _percent(found["type_1"]),
+        "type II, objects taken for ground": _percent(found["type_2"]),
+        "total error": f"{_percent(found['total'])} of {found['points']:,} points",
+        "Cohen's kappa": _percent(found["kappa"]),
+    }
+    return el("div", el("h3", "Classes against the truth"), facts(pairs))
 
 
 def _true_dtm(found: Mapping[str, Any]) -> Node:
@@ -181,6 +170,5 @@ def _true_dtm(found: Mapping[str, Any]) -> Node:
     pairs: dict[str, Content] = {
         text: f"{_number(found[key])} {unit}" for key, text in keys.items() if found.get(key) is not None
     }
-    return el(
-        "div", el("h3", "DTM against the true one"), facts({**pairs, "pixels": _number(found["pixels"])})
-    )
+    pairs["pixels"] = _number(found["pixels"])
+    return el("div", el("h3", "DTM against the true one"), facts(pairs))

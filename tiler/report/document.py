@@ -79,7 +79,8 @@ def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, 
         f"default-src 'none'; img-src data:; style-src '{_digest(style)}'; script-src '{_digest(script)}'; "
         "base-uri 'none'; form-action 'none'"
     )
-    contents = el("nav", *(_link(part) for part in sections), aria_label="Contents")
+    links = (el("a", part[0].text, href=f"#{part.get('id')}") for part in sections)
+    contents = el("nav", *links, aria_label="Contents")
     # Inside of a script element nothing is unescaped: no "<" may stand there.
     embedded = Node("script", {"type": "application/json", "id": "data"})
     embedded.text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
@@ -102,10 +103,6 @@ def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, 
     )
     markup: bytes = ElementTree.tostring(root, encoding="utf-8", method="html")
     return b"<!DOCTYPE html>\n" + markup + b"\n"
-
-
-def _link(part: Node) -> Node:
-    return el("a", part[0].text, href=f"#{part.get('id')}")
 
 
 def _digest(text: str) -> str:

@@ -55,9 +55,7 @@ LAYERS = {
 def shapes(run: Run) -> list[dict[str, Any]]:
     """Layers of the map that can be switched on and off, their lines as x, y, x, y, ... in units of the CRS."""
     of_features = {name: run.get(name) or () for name in ("water", "bridges", "edits")}
-    lines = {
-        name: [ring for f in found for ring in f.get("rings", ())] for name, found in of_features.items()
-    }
+    lines = {name: [r for f in found for r in f.get("rings", ())] for name, found in of_features.items()}
     lines["outline"] = (run.get("outline") or {}).get("rings", [])
     lines["breaklines"] = (run.get("breaklines") or {}).get("drawn", [])
     return [

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +12,10 @@ from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, refused_write
 from tiler.io.json_text import read_object
 from tiler.io.locations import is_url, joined, put_file, state_at
-from tiler.io.partial_files import partial_path
+from tiler.io.partial_files import write_whole
 from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN, folder_here, read_run
 from tiler.report import accuracy, document, sections, tables
-from tiler.report.document import Node, el, section
+from tiler.report.document import el, section
 from tiler.report.drawn import drawn
 from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
@@ -59,16 +57,9 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
             f"{out}: a raster cannot be read ({' '.join(str(error).split())}); run again"
         ) from error
     target = out / REPORT
-    partial = partial_path(target)
     try:
-        with open(partial, "wb") as stream:
-            stream.write(page)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, target)
+        write_whole(target, page)
     except OSError as error:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
         raise refused_write(str(target), error, out) from error
     return target
 
@@ -121,8 +112,10 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
         tables.inputs(run),
         tables.timings(run),
         tables.settings(run),
-        _colophon(run),
     ]
+    made = f"Made by tiler {run['version']} from run.json, written {run.get('written', 'at an unknown time')} (UTC)."
+    about = (el("p", made), el("p", "It loads nothing and sends nothing."))
+    parts.append(section("about", "About this page", *about))
     return document.page(title, sections.header(run, title), parts, map_data(run, pictures, check))
 
 
@@ -136,8 +129,3 @@ def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
         if f"{product}.{kind}" in written
     }
     return {product: raster for product, raster in named.items() if state_at(raster) is not None}
-
-
-def _colophon(run: Mapping[str, Any]) -> Node:
-    text = f"Made by tiler {run['version']} from run.json, written {run.get('written', 'at an unknown time')} (UTC)."
-    return section("about", "About this page", el("p", text), el("p", "It loads nothing and sends nothing."))

@@ -103,17 +103,9 @@ def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
     errors = {(f["stage"], f["key"]): f["error"] for f in run.get("failed_tasks", ())}
     order = sorted(tiles, key=lambda name: (not name.startswith("filter"), name != "grid-dtm"))
     for stage in [*reversed(order[:passes]), *order[passes:]]:
+        facts = ("state", "points", "seconds", "tries", "marked")
         rows = [
-            [
-                t["key"],
-                *t["bounds"],
-                t["state"],
-                t["points"],
-                t["seconds"],
-                t["tries"],
-                t["marked"],
-                errors.get((stage, t["key"]), ""),
-            ]
+            [t["key"], *t["bounds"], *(t[fact] for fact in facts), errors.get((stage, t["key"]), "")]
             for t in tiles[stage]
             if t["bounds"] is not None
         ]

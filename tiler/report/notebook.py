@@ -131,10 +131,9 @@ def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
         yield el("p", f"{place}: cannot be drawn ({error})")
         return
     times = max(PICTURE_PIXELS // max(found.size), 1)
-    width, height = (times * side for side in found.size)
-    look = "image-rendering: pixelated"
+    size = dict(zip(("width", "height"), (times * side for side in found.size), strict=True))
     alt = "Hillshade of the terrain model"
-    yield el("p", el("img", src=found.uri, alt=alt, width=width, height=height, style=look))
+    yield el("p", el("img", src=found.uri, alt=alt, **size, style="image-rendering: pixelated"))
 
 
 def _list(title: str, texts: Sequence[str]) -> Content:
@@ -159,9 +158,7 @@ def _href(place: str) -> str:
     if is_url(place):
         return place
     path = Path(os.path.abspath(place))
-    try:
-        return quote(
-            path.relative_to(Path.cwd()).as_posix()
-        )  # a colon would make a scheme of what stands before it
+    try:  # a colon would make a scheme of what stands before it
+        return quote(path.relative_to(Path.cwd()).as_posix())
     except (ValueError, OSError):
         return path.as_uri()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,16 +99,6 @@ class Pictures:
     pictures: tuple[Picture, ...]
 
 
-@dataclass(frozen=True)
-class _Indexed:
-    """Values 0 (nothing there) to `SHADES`, their colours, and what these mean."""
-
-    title: str
-    values: UInt8s
-    colours: Mapping[int, Colour]
-    legend: tuple[tuple[Colour, str], ...]
-
-
 def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
     """Pictures of the rasters that are there; None without a DTM.
 
@@ -136,50 +126,43 @@ def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
 
 
 def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:
-    """A hillshade of a DTM, ``longer`` pixels wide or high at most.
-
-    Parameters
-    ----------
-    dtm : str
-        Path or URL of the raster.
-    run : mapping
-        The content of run.json: its units make the slopes.
-
-    Raises
-    ------
-    rasterio.errors.RasterioError
-        The file cannot be read.
-    """
+    """A hillshade of the DTM at a path or URL, ``longer`` pixels wide or high at most; else as `draw`."""
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
         heights = _read(dtm, longer, Resampling.average)
-        return _picture("hillshade", _hillshade(heights, _extent(dtm), run))
+        return _hillshade(heights, _extent(dtm), run)
 
 
 def _draw(rasters: Mapping[str, str], run: Mapping[str, Any], longer: int) -> Pictures:
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
         extent = _extent(rasters["dtm"])
-        drawn = tuple(_picture(name, made) for name, made in _each(rasters, extent, run, longer))
-    return Pictures(extent, drawn)
+        return Pictures(extent, tuple(_each(rasters, extent, run, longer)))
 
 
 def _each(
     rasters: Mapping[str, str], extent: Extent, run: Mapping[str, Any], longer: int
-) -> Iterator[tuple[str, _Indexed]]:
+) -> Iterator[Picture]:
     """One picture after another, so that no more than one is in memory."""
     heights = _read(rasters["dtm"], longer, Resampling.average)
-    yield "hillshade", _hillshade(heights, extent, run)
-    yield "dtm", _heights(heights, run)
+    yield _hillshade(heights, extent, run)
+    yield _heights(heights, run)
     del heights
     if "density" in rasters:
-        yield "density", _density(_read(rasters["density"], longer, Resampling.average))
+        yield _density(_read(rasters["density"], longer, Resampling.average))
     if "mask" in rasters:
-        yield "mask", _mask(_read(rasters["mask"], longer, Resampling.nearest))
+        yield _mask(_read(rasters["mask"], longer, Resampling.nearest))
 
 
-def _picture(name: str, indexed: _Indexed) -> Picture:
-    height, width = indexed.values.shape
-    data = base64.b64encode(palette_png_bytes(indexed.values, indexed.colours)).decode("ascii")
-    return Picture(name, indexed.title, f"data:image/png;base64,{data}", (width, height), indexed.legend)
+def _picture(
+    name: str,
+    title: str,
+    values: UInt8s,
+    colours: Mapping[int, Colour],
+    legend: Sequence[tuple[Colour, str]],
+) -> Picture:
+    """A picture of values from 0 (nothing there) to `SHADES`."""
+    height, width = values.shape
+    data = base64.b64encode(palette_png_bytes(values, colours)).decode("ascii")
+    return Picture(name, title, f"data:image/png;base64,{data}", (width, height), tuple(legend))
 
 
 def _open(place: str) -> Any:
@@ -189,8 +172,7 @@ def _open(place: str) -> Any:
 
 def _extent(place: str) -> Extent:
     with _open(place) as raster:
-        bounds = raster.bounds
-    return bounds.left, bounds.bottom, bounds.right, bounds.top
+        return tuple(raster.bounds)
 
 
 def _read(place: str, longer: int, resampling: Resampling) -> Floats:
@@ -235,7 +217,7 @@ def _strips(rows: int) -> Iterator[slice]:
         yield slice(first, min(first + STRIP_ROWS, rows))
 
 
-def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> _Indexed:
+def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Picture:
     """Hillshade of the decimated heights: what is smaller than a pixel of the picture cannot be seen anyway."""
     west, south, east, north = extent
     metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
@@ -252,29 +234,29 @@ def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> _Inde
         inner = slice(strip.start - first, strip.stop - first)
         shade[strip] = multidirectional_hillshade(to_east[inner], -to_south[inner])
     low, high = _range(shade)
-    return _ramp("Hillshade", shade, min(low, 120.0), max(high, 200.0), GREY, None)
+    return _ramp("hillshade", "Hillshade", shade, min(low, 120.0), max(high, 200.0), GREY, None)
 
 
-def _heights(heights: Floats, run: Mapping[str, Any]) -> _Indexed:
+def _heights(heights: Floats, run: Mapping[str, Any]) -> Picture:
     unit = run["plan"].get("units", {}).get("vertical", "")
     low, high = _range(heights)
     places = 0 if high - low >= 50 else 1 if high - low >= 5 else 2
-    return _ramp("Terrain height", heights, low, high, TERRAIN, lambda v: f"{v:,.{places}f} {unit}")
+    return _ramp("dtm", "Terrain height", heights, low, high, TERRAIN, lambda v: f"{v:,.{places}f} {unit}")
 
 
-def _density(density: Floats) -> _Indexed:
+def _density(density: Floats) -> Picture:
     """On a scale of logarithms: a clearing in a wood and an overlap of strips both show."""
     density[density <= 0] = np.nan
     found = np.log10(density, out=density)
     low, high = _range(found)
-    return _ramp("Ground points per m2", found, low, high, VIRIDIS, lambda v: f"{10**v:.3g}")
+    return _ramp("density", "Ground points per m2", found, low, high, VIRIDIS, lambda v: f"{10**v:.3g}")
 
 
-def _mask(mask: Floats) -> _Indexed:
+def _mask(mask: Floats) -> Picture:
     product = PRODUCTS["mask"]
     values = np.nan_to_num(mask, copy=False, nan=OUTSIDE).astype(np.uint8)
     legend = [(product.colours[v], text) for v, text in MASK_VALUES.items() if v != OUTSIDE]
-    return _Indexed("Where heights come from", values, product.colours, tuple(legend))
+    return _picture("mask", "Where heights come from", values, product.colours, legend)
 
 
 def _range(values: Floats) -> tuple[float, float]:
@@ -287,13 +269,14 @@ def _range(values: Floats) -> tuple[float, float]:
 
 
 def _ramp(
+    name: str,
     title: str,
     values: Floats,
     low: float,
     high: float,
     stops: tuple[Colour, ...],
     text: Callable[[float], str] | None,
-) -> _Indexed:
+) -> Picture:
     indexed = np.zeros(values.shape, np.uint8)
     for strip in _strips(len(values)):
         share = np.clip((values[strip].astype(np.float64) - low) / max(high - low, 1e-9), 0.0, 1.0)
@@ -302,7 +285,7 @@ def _ramp(
     colours = {i + 1: ramp_colour(stops, i / (SHADES - 1)) for i in range(SHADES)}
     shares = [i / (LEGEND_STEPS - 1) for i in range(LEGEND_STEPS)]
     legend = [(ramp_colour(stops, s), text(low + s * (high - low))) for s in shares] if text else []
-    return _Indexed(title, indexed, colours, tuple(legend))
+    return _picture(name, title, indexed, colours, legend)
 
 
 def ramp_colour(stops: tuple[Colour, ...], share: float) -> Colour:

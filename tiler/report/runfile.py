@@ -3,32 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from tiler.core.stage_names import stage_title
 from tiler.errors import ConfigError, refused_write
 from tiler.io.json_text import read_object
-from tiler.io.partial_files import partial_path
+from tiler.io.partial_files import write_whole
 from tiler.io.result_folder import RUN
 
 
 def write_run_file(out: Path, content: dict[str, Any]) -> None:
     """Replace ``OUT/run.json``; raises ProcessingError where it cannot be written."""
-    partial = partial_path(out / RUN)
+    text = json.dumps(content, indent=1, sort_keys=True) + "\n"
     try:
-        with open(partial, "w", encoding="utf-8") as stream:
-            json.dump(content, stream, indent=1, sort_keys=True)
-            stream.write("\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, out / RUN)
+        write_whole(out / RUN, text.encode())
     except OSError as error:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
         raise refused_write(f"{out}/{RUN}", error, out) from error
 
 

@@ -55,11 +55,9 @@ def _left_out(run: Run) -> str:
 def sentence(run: Run) -> str:
     """What came out, in a sentence or two."""
     plan, dtm, left_out = run["plan"], run.get("dtm"), _left_out(run)
-    what = (
-        f"A terrain model of {dtm['resolution_m']:g} m pixels"
-        if dtm
-        else "A run that made no terrain model yet"
-    )
+    what = "A run that made no terrain model yet"
+    if dtm:
+        what = f"A terrain model of {dtm['resolution_m']:g} m pixels"
     seconds = f" in {duration_text(run['seconds'])}" if "seconds" in run and not done_before(run) else ""
     missing = f" Left out: {left_out}; see Problems." if left_out else " Nothing was left out."
     return (
@@ -104,9 +102,7 @@ def done_before(run: Run) -> int:
 
 def problems(run: Run) -> Node:
     """What is missing or doubtful, and what to do; the first thing to read after the figures."""
-    content: list[Content] = []
-    for text in warned(run):
-        content.append(el("p", text, class_="warning"))
+    content: list[Content] = [el("p", text, class_="warning") for text in warned(run)]
     marked = run.get("filter", {}).get("marked", 0)
     if marked:
         text = f"{marked:,} labels are not certified: points beyond the widest halo could change them."
@@ -123,20 +119,17 @@ def problems(run: Run) -> Node:
         ]
         columns = ("stage", "tile or task", "west, south, east, north", "why")
         content += [el("h3", f"Tasks that failed: {len(failed):,}"), table(columns, rows)]
-    if run.get("healed"):
-        content.append(
-            el("p", f"Objects of the store that were damaged, and made again: {', '.join(run['healed'])}")
-        )
+    if healed := ", ".join(run.get("healed", ())):
+        content.append(el("p", f"Objects of the store that were damaged, and made again: {healed}"))
     strays = run.get("strays", ())
     if strays:
         far = [
             (s["path"], f"{s['point']:,}", f"{s['x']:g}, {s['y']:g}, {s['z']:g}") for s in strays[:MOST_ROWS]
         ]
-        content.append(el("h3", f"Points far from all others: {len(strays):,}"))
-        content.append(table(("file", "point", "x, y, z"), far, (1,)))
-    return section(
-        "problems", "Problems", *(content or [el("p", "None: every file was read and every tile was made.")])
-    )
+        heading = el("h3", f"Points far from all others: {len(strays):,}")
+        content += [heading, table(("file", "point", "x, y, z"), far, (1,))]
+    none = "None: every file was read and every tile was made."
+    return section("problems", "Problems", *(content or [el("p", none)]))
 
 
 def _place(bounds: list[float] | None) -> str:
@@ -196,10 +189,8 @@ def decisions(run: Run) -> Node:
     if told:
         content += [el("h3", "Noted on the way"), el("ul", *told)]
     if found:
-        content += [
-            el("h3", "Measured over the whole run"),
-            table(("by pass", "figure", "value"), found[:MOST_ROWS]),
-        ]
+        measured = table(("by pass", "figure", "value"), found[:MOST_ROWS])
+        content += [el("h3", "Measured over the whole run"), measured]
     return section("decisions", "Decided automatically", *content)
 
 
@@ -217,11 +208,8 @@ FIGURES_IN_WORDS = {
 def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
     """Pass, figure and value; what a pass only hands on from those before, so knowing more than they, is told once."""
     known: dict[str, str] = {}
-    found = sorted(
-        ((step, dict(_flat("", state))) for step, state in run.get("statistics", {}).items()),
-        key=lambda s: len(s[1]),
-    )
-    for step, state in found:
+    states = {step: dict(_flat("", state)) for step, state in run.get("statistics", {}).items()}
+    for step, state in sorted(states.items(), key=lambda found: len(found[1])):
         new = {name: text for name, text in state.items() if known.get(name) != text}
         known |= new
         for name, text in new.items():
@@ -251,9 +239,9 @@ def value_text(value: Any) -> str:
         return ", ".join(value_text(v) for v in value) or "none"
     if value is None or isinstance(value, bool):
         return {None: "-", True: "yes", False: "no"}[value]
-    return (
-        f"{value:,}" if isinstance(value, int) else f"{value:.6g}" if isinstance(value, float) else str(value)
-    )
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def terrain_map(pictures: Pictures | None) -> Node:
@@ -275,10 +263,10 @@ def terrain_map(pictures: Pictures | None) -> Node:
         )
         for p in (pictures.pictures if pictures else ())
     ]
-    missing = (
-        el("p", "No terrain model was written yet: the map shows files and tiles.") if not figures else None
-    )
-    return section("map", "Map", missing, frame, el("div", *figures, class_="gallery") if figures else None)
+    if figures:
+        return section("map", "Map", frame, el("div", *figures, class_="gallery"))
+    missing = el("p", "No terrain model was written yet: the map shows files and tiles.")
+    return section("map", "Map", missing, frame)
 
 
 def _swatch(colour: tuple[int, int, int], text: str) -> Node:

@@ -28,13 +28,14 @@ def counts(run: Run) -> Node:
         "strays": "far from all others",
     }
     pairs |= {text: _count(found.get(name)) for name, text in names.items()}
-    labels = run.get("filter", {})
-    for name in ("ground", "unclassified", "low_noise", "kept", "marked"):
-        if name in labels:
-            text = {"kept": "class kept as it was", "marked": "label not certified"}.get(
-                name, name.replace("_", " ")
-            )
-            pairs[f"labelled: {text}"] = _count(labels[name])
+    names = {
+        "ground": "ground",
+        "unclassified": "unclassified",
+        "low_noise": "low noise",
+        "kept": "class kept as it was",
+        "marked": "label not certified",
+    }
+    pairs |= {f"labelled: {text}": _count(run.get("filter", {}).get(name)) for name, text in names.items()}
     pixels: dict[str, Content] = {text: _count(n) for text, n in run.get("mask", {}).items()}
     content: list[Content] = [el("h3", "Points"), facts(pairs)]
     if pixels:
@@ -63,17 +64,15 @@ def inputs(run: Run) -> Node:
         for f in files[:MOST_ROWS]
     ]
     columns = ("file", "points", "stored", "format", "size", "CRS", "warnings")
-    more = f"{len(files) - MOST_ROWS:,} more are in run.json." if len(files) > MOST_ROWS else None
-    about = counted(len(files), "file") + (
-        f", {counted(len(warned), 'note')}: see Decided automatically." if warned else "."
-    )
-    return section(
-        "inputs",
-        "Input files",
-        el("p", about),
-        table(columns, rows, (1, 2, 4)),
-        el("p", more) if more else None,
-    )
+    notes = f", {counted(len(warned), 'note')}: see Decided automatically" if warned else ""
+    about = f"{counted(len(files), 'file')}{notes}."
+    listed = table(columns, rows, (1, 2, 4))
+    return section("inputs", "Input files", el("p", about), listed, _more(len(files)))
+
+
+def _more(number: int) -> Node | None:
+    """A line on what a table of `MOST_ROWS` does not show."""
+    return el("p", f"{number - MOST_ROWS:,} more are in run.json.") if number > MOST_ROWS else None
 
 
 def outputs(run: Run) -> Node:
@@ -83,9 +82,8 @@ def outputs(run: Run) -> Node:
         (el("a", name, href=quote(os.fsencode(name))), size_text(size))
         for name, size in sorted(found.items(), key=lambda file: "/" in file[0])[:MOST_ROWS]
     ]
-    more = f"{len(found) - MOST_ROWS:,} more are in run.json." if len(found) > MOST_ROWS else None
     body = table(("file", "size"), rows, (1,)) if rows else el("p", "None yet.")
-    return section("outputs", "Results", body, el("p", more) if more else None)
+    return section("outputs", "Results", body, _more(len(found)))
 
 
 def timings(run: Run) -> Node:
@@ -107,13 +105,11 @@ def timings(run: Run) -> Node:
     columns = ("stage", "tasks", "done now", "time", "", "rate", "peak memory")
     plan = run["plan"]
     projected = max(plan["projected_memory_bytes"].values(), default=0)
-    memory = facts(
-        {
-            "peak of a process": size_text(run["peak_rss_bytes"]),
-            "planned for a worker": size_text(projected),
-            "allowed for a worker": size_text(plan["memory_bytes"]),
-        }
-    )
+    memory: dict[str, Content] = {
+        "peak of a process": size_text(run["peak_rss_bytes"]),
+        "planned for a worker": size_text(projected),
+        "allowed for a worker": size_text(plan["memory_bytes"]),
+    }
     before, tasks = done_before(run), sum(s["tasks"] for s in stages.values())
     earlier = f"{before:,} of {tasks:,} tasks were done by earlier runs; the times of stages are those of the last one."
     return section(
@@ -121,7 +117,7 @@ def timings(run: Run) -> Node:
         "Time and memory",
         el("p", earlier, class_="quiet") if before else None,
         table(columns, rows, (1, 2, 3, 5, 6)),
-        memory,
+        facts(memory),
         *_slowest(run),
     )
 
@@ -138,13 +134,9 @@ def _bar(share: float) -> Node:
 
 
 def _slowest(run: Run) -> list[Content]:
-    timed = [
-        (tile["seconds"], stage, tile)
-        for stage, tiles in run.get("tiles", {}).items()
-        for tile in tiles
-        if tile["seconds"] is not None
-    ]
-    timed.sort(key=lambda item: (-item[0], item[1], item[2]["key"]))
+    tiles = ((stage, tile) for stage, found in run.get("tiles", {}).items() for tile in found)
+    timed = [(stage, tile) for stage, tile in tiles if tile["seconds"] is not None]
+    timed.sort(key=lambda item: (-item[1]["seconds"], item[0], item[1]["key"]))
     if not timed:
         return []
     rows = [
@@ -152,12 +144,12 @@ def _slowest(run: Run) -> list[Content]:
             title_of(run, stage),
             t["key"],
             f"{t['points']:,}",
-            duration_text(seconds),
+            duration_text(t["seconds"]),
             f"{t['tries']}",
             f"{t['marked']:,}",
             size_text(t["peak_rss_bytes"]),
         )
-        for seconds, stage, t in timed[:SLOWEST]
+        for stage, t in timed[:SLOWEST]
     ]
     columns = ("stage", "tile", "points", "time", "tries", "not certified", "memory of its worker")
     return [el("h3", "The slowest tiles"), table(columns, rows, (2, 3, 4, 5, 6))]
@@ -169,6 +161,8 @@ def settings(run: Run) -> Node:
     parameters = [(name, value_text(value)) for name, value in plan["parameters"].items()]
     configuration = [(name, value_text(value)) for name, value in run["configuration"].items()]
     versions = [("tiler", run["version"]), *run.get("libraries", {}).items()]
+    digests = {Path(f["path"]).name: f["content"] for f in run.get("inputs", ())[:MOST_ROWS]}
+    pre = el("pre", json.dumps(digests, ensure_ascii=False))
     return section(
         "settings",
         "Parameters and versions",
@@ -178,10 +172,5 @@ def settings(run: Run) -> Node:
         facts(dict(versions)),
         el("details", el("summary", "Configuration"), table(("setting", "value"), configuration)),
         el("details", el("summary", "CRS"), el("pre", plan["crs"] or "none")),
-        el("details", el("summary", "Inputs, by the digests of their bytes"), el("pre", _digests(run))),
+        el("details", el("summary", "Inputs, by the digests of their bytes"), pre),
     )
-
-
-def _digests(run: Run) -> str:
-    found = {Path(f["path"]).name: f["content"] for f in run.get("inputs", ())[:MOST_ROWS]}
-    return json.dumps(found, ensure_ascii=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -60,6 +60,8 @@ class AlsSensor:
     """
 
     BLUNDERS: ClassVar = ("low_singles_km2", "low_groups_km2", "high_km2")
+    patch_m: ClassVar[float] = PATCH_M
+    coloured: ClassVar[bool] = False
 
     density: float = 4.0
     sigma_m: float = 0.025
@@ -70,16 +72,6 @@ class AlsSensor:
     low_singles_km2: float = 150.0
     low_groups_km2: float = 40.0
     high_km2: float = 150.0
-
-    @property
-    def patch_m(self) -> float:
-        """Side of the squares that are surveyed at once, metres."""
-        return PATCH_M
-
-    @property
-    def coloured(self) -> bool:
-        """Pulses bring no colours."""
-        return False
 
     @property
     def reach_m(self) -> float:
@@ -93,25 +85,40 @@ class AlsSensor:
         A pulse belongs to the patch where its place in the pattern lies on the level `Terrain.base`, so patches
         side by side shoot each pulse once; its points may fall beyond the edge of the patch.
         """
-        return _survey(self, site, ix, iy)
+        box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
+        rng = generator(site.seed, PULSES, ix, iy)
+        rays, strip = _pulses(self, site.terrain.base, box, rng)
+        bare = ground_hit(site.terrain, rays)
+        px, py = rays.at(bare)
+        lean = TALLEST_M * rays.steepest
+        objects = site.objects_near(px.min() - lean, py.min() - lean, px.max() + lean, py.max() + lean)
+        hits: Hits = []
+        surface = _surface(site, objects, rays, bare, rng, hits)
+        _canopy(objects, rays, surface, rng, hits)
+        ray, z, label, number, count = _numbered(hits, self.max_returns)
+        x, y = rays.at(z, ray)
+        label = vegetation_label(label, z - bare[ray])
+        angle = np.degrees(np.arctan(rays.lx[ray]))
+        bias = 0.3 * self.sigma_m * node_normals(site.seed, BIAS, strip[ray], np.zeros(len(ray), np.int64))
+        z = z + bias + self.sigma_m * rng.standard_normal(len(z))
+        noise, noise_label = _blunders(self, site.terrain, box, generator(site.seed, BLUNDERS, ix, iy))
+        one = np.ones(len(noise), np.uint8)
+        return Points(
+            np.concatenate((np.column_stack((x, y, z)), noise)),
+            np.r_[label, noise_label],
+            np.r_[number, one],
+            np.r_[count, one],
+            np.r_[angle, np.zeros(len(noise))],
+        )
 
 
-@dataclass
-class _Hits:
-    """Returns as they are found, in any order: ray, height, label, and whether the pulse ends there."""
+Hits = list[tuple[npt.NDArray[np.intp], Floats, UInt8s, npt.NDArray[np.bool_]]]
+"""Returns as they are found, in any order: ray, height, label, and whether the pulse ends there."""
 
-    ray: list[npt.NDArray[np.intp]]
-    z: list[Floats]
-    label: list[UInt8s]
-    last: list[npt.NDArray[np.bool_]]
 
-    def add(
-        self, ray: npt.NDArray[np.intp], z: Floats, label: int | UInt8s, last: bool | npt.NDArray[np.bool_]
-    ) -> None:
-        self.ray.append(ray)
-        self.z.append(z)
-        self.label.append(label if isinstance(label, np.ndarray) else np.full(len(ray), label, np.uint8))
-        self.last.append(last if isinstance(last, np.ndarray) else np.full(len(ray), last, np.bool_))
+def _hit(ray: npt.NDArray[np.intp], z: Floats, label: Any, last: Any) -> Any:
+    """Returns that are alike in what is given as one value."""
+    return ray, z, np.full(len(ray), label, np.uint8), np.full(len(ray), last, np.bool_)
 
 
 def _pulses(
@@ -160,12 +167,12 @@ def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
     return z
 
 
-def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Generator, hits: _Hits) -> None:
+def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Generator, hits: Hits) -> None:
     """Returns inside of crowns and from wires, above the surface that stops the ray."""
     for wire in objects.wires:
         ray, z = wire.hit(rays)
         seen = z > surface[ray]
-        hits.add(ray[seen], z[seen], WIRE, False)
+        hits.append(_hit(ray[seen], z[seen], WIRE, False))
     for crown in objects.crowns:
         ray, top, bottom = crown.chord(rays)
         floor = np.maximum(bottom, surface[ray])
@@ -173,7 +180,7 @@ def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Genera
         while len(ray):
             ends = rng.random(len(ray)) < crown.stop
             inside = z > floor
-            hits.add(ray[inside], z[inside], LOW_VEGETATION, ends[inside])
+            hits.append(_hit(ray[inside], z[inside], LOW_VEGETATION, ends[inside]))
             go_on = inside & ~ends
             ray, floor = ray[go_on], floor[go_on]
             # Two echoes nearer than about half a metre melt into one.
@@ -181,7 +188,7 @@ def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Genera
 
 
 def _surface(
-    site: Site, objects: Objects, rays: Rays, bare: Floats, rng: np.random.Generator, hits: _Hits
+    site: Site, objects: Objects, rays: Rays, bare: Floats, rng: np.random.Generator, hits: Hits
 ) -> Floats:
     """The opaque end of each ray: a solid, low vegetation, water or the ground."""
     z = bare.copy()
@@ -194,7 +201,7 @@ def _surface(
         # Plants thin out upward; a low plant and the ground under it give one echo between the two.
         tall = 0.08 + (patch.height - 0.08) * rng.beta(1.6, 1.6, len(here))
         double = (tall > 0.7) & (rng.random(len(here)) < 0.4)
-        hits.add(here[double], bare[here[double]] + tall[double], LOW_VEGETATION, False)
+        hits.append(_hit(here[double], bare[here[double]] + tall[double], LOW_VEGETATION, False))
         here, tall = here[~double], tall[~double]
         z[here], label[here] = bare[here] + tall, LOW_VEGETATION
     for solid in objects.solids:
@@ -203,14 +210,13 @@ def _surface(
         z[ray[higher]], label[ray[higher]] = top[higher], solid.label
     kept = rng.random(len(rays)) >= np.where(label == WATER, 1.0 - WATER_RETURNS, LOST)
     ray = np.flatnonzero(kept)
-    hits.add(ray, z[ray], label[ray], True)
+    hits.append(_hit(ray, z[ray], label[ray], True))
     return z
 
 
-def _numbered(hits: _Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:
+def _numbered(hits: Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:
     """Ray, height, label, return number and count, ordered by ray and from the first return to the last."""
-    ray, z = np.concatenate(hits.ray), np.concatenate(hits.z)
-    label, last = np.concatenate(hits.label), np.concatenate(hits.last)
+    ray, z, label, last = (np.concatenate(column) for column in zip(*hits, strict=True))
     order = np.lexsort((-z, ray))
     ray, z, label, last = ray[order], z[order], label[order], last[order]
     start = np.flatnonzero(np.r_[True, ray[1:] != ray[:-1]])
@@ -241,31 +247,3 @@ def _blunders(
     above = above + 0.2 * spread * rng.standard_normal(len(x))
     label = np.where(above < 0, LOW_NOISE, HIGH_NOISE).astype(np.uint8)
     return np.column_stack((x, y, terrain.height_at(x, y) + above)), label
-
-
-def _survey(sensor: AlsSensor, site: Site, ix: int, iy: int) -> Points:
-    box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
-    rng = generator(site.seed, PULSES, ix, iy)
-    rays, strip = _pulses(sensor, site.terrain.base, box, rng)
-    bare = ground_hit(site.terrain, rays)
-    px, py = rays.at(bare)
-    lean = TALLEST_M * rays.steepest
-    objects = site.objects_near(px.min() - lean, py.min() - lean, px.max() + lean, py.max() + lean)
-    hits = _Hits([], [], [], [])
-    surface = _surface(site, objects, rays, bare, rng, hits)
-    _canopy(objects, rays, surface, rng, hits)
-    ray, z, label, number, count = _numbered(hits, sensor.max_returns)
-    x, y = rays.at(z, ray)
-    label = vegetation_label(label, z - bare[ray])
-    angle = np.degrees(np.arctan(rays.lx[ray]))
-    bias = 0.3 * sensor.sigma_m * node_normals(site.seed, BIAS, strip[ray], np.zeros(len(ray), np.int64))
-    z = z + bias + sensor.sigma_m * rng.standard_normal(len(z))
-    noise, noise_label = _blunders(sensor, site.terrain, box, generator(site.seed, BLUNDERS, ix, iy))
-    one = np.ones(len(noise), np.uint8)
-    return Points(
-        np.concatenate((np.column_stack((x, y, z)), noise)),
-        np.r_[label, noise_label],
-        np.r_[number, one],
-        np.r_[count, one],
-        np.r_[angle, np.zeros(len(noise))],
-    )

@@ -75,6 +75,8 @@ class DimSensor:
     """
 
     BLUNDERS: ClassVar = ("blunders", "high_blunders")
+    patch_m: ClassVar[float] = PATCH_M
+    reach_m: ClassVar[float] = 0.0
 
     density: float = 40.0
     sigma_m: float = 0.066
@@ -91,16 +93,6 @@ class DimSensor:
     jitter: float = 1.0
     plants_m: float = 0.0
     coloured: bool = True
-
-    @property
-    def patch_m(self) -> float:
-        """Side of the squares that are matched at once, metres."""
-        return PATCH_M
-
-    @property
-    def reach_m(self) -> float:
-        """Matches lie where they are looked for: 0 metres beyond a site."""
-        return 0.0
 
     def survey(self, site: Site, ix: int, iy: int) -> Points:
         """The points of patch (ix, iy): the skin, facades, blunders."""
@@ -140,9 +132,8 @@ class DimSensor:
         label = skin.labels(x, y)
         above = np.maximum(skin.sharp - skin.bare, skin.rise)[node]
         label[(label == LOW_VEGETATION) & (above < self.plants_m)] = GROUND
-        return np.column_stack(
-            (x, y, skin.height(x, y) + self._noise(site, x, y, label, dark[node], rng))
-        ), label
+        z = skin.height(x, y) + self._noise(site, x, y, label, dark[node], rng)
+        return np.column_stack((x, y, z)), label
 
     def _noise(
         self,

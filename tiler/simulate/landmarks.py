@@ -11,25 +11,17 @@ SPAN_M = 110.0
 """Distance of the towers of a power line."""
 
 
-def _place(line: Line, along: float, across: float = 0.0) -> tuple[float, float]:
-    """Position of a point that lies ``along`` and ``across`` (to the left) of a line; metres."""
-    cos, sin = np.cos(np.radians(line.angle_deg)), np.sin(np.radians(line.angle_deg))
-    return float(line.x + along * cos - across * sin), float(line.y + along * sin + across * cos)
-
-
 def bridge(terrain: Terrain, line: Line, length: float, width: float) -> Objects:
     """A deck with parapets centred at the line's point, along the line, from ground to ground; metres.
 
     It joins the heights of the terrain at its two ends, so that a road goes on over it without a step.
     """
-    start, end = (float(terrain.height_at(*_place(line, along))) for along in (-length / 2, length / 2))
+    start, end = (float(terrain.height_at(*line.at(along))) for along in (-length / 2, length / 2))
     top, tilt = (start + end) / 2, (end - start) / length
     deck = Solid(line.x, line.y, line.angle_deg, length, width, top - 1.2, top, 0.0, BRIDGE, tilt)
+    edges = (line.at(0.0, across) for across in (-width / 2, width / 2))
     sides = [
-        Solid(
-            *_place(line, 0.0, across), line.angle_deg, length, 0.3, top - 1.2, top + 1.0, 0.0, BRIDGE, tilt
-        )
-        for across in (-width / 2, width / 2)
+        Solid(x, y, line.angle_deg, length, 0.3, top - 1.2, top + 1.0, 0.0, BRIDGE, tilt) for x, y in edges
     ]
     return Objects(solids=(deck, *sides))
 
@@ -40,12 +32,12 @@ def power_line(terrain: Terrain, line: Line, length: float) -> Objects:
     wires: list[Wire] = []
     before: list[tuple[float, float, float]] = []
     for along in np.arange(0.15 * SPAN_M, length, SPAN_M):
-        x, y = _place(line, float(along))
+        x, y = line.at(float(along))
         ground = float(terrain.height_at(x, y))
         arm = ground + 24.0
         solids.append(Solid(x, y, line.angle_deg, 1.2, 1.2, ground - 1.0, ground + 26.0, label=TOWER))
         solids.append(Solid(x, y, line.angle_deg, 0.6, 12.0, arm, arm + 0.6, label=TOWER))
-        ends = [(*_place(line, float(along), across), arm) for across in (-6.0, 0.0, 6.0)]
+        ends = [(*line.at(float(along), across), arm) for across in (-6.0, 0.0, 6.0)]
         wires += [Wire(a, b, 4.0) for a, b in zip(before, ends, strict=False)]
         before = ends
     return Objects(solids=tuple(solids), wires=tuple(wires))

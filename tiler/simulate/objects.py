@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -104,10 +105,8 @@ class Solid:
     def distance(self, x: float, y: float) -> float:
         """Metres from a position to the footprint, 0 inside."""
         east, north, turn = x - self.x, y - self.y, math.radians(self.angle_deg)
-        along, across = (
-            east * math.cos(turn) + north * math.sin(turn),
-            north * math.cos(turn) - east * math.sin(turn),
-        )
+        along = east * math.cos(turn) + north * math.sin(turn)
+        across = north * math.cos(turn) - east * math.sin(turn)
         return math.hypot(max(abs(along) - self.length / 2, 0.0), max(abs(across) - self.width / 2, 0.0))
 
     def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
@@ -251,12 +250,7 @@ class Objects:
 
     def __add__(self, other: Objects) -> Objects:
         """Both, those of ``other`` last."""
-        return Objects(
-            self.solids + other.solids,
-            self.crowns + other.crowns,
-            self.patches + other.patches,
-            self.wires + other.wires,
-        )
+        return Objects(*(a + b for a, b in zip(self._kinds, other._kinds, strict=True)))
 
     def touching(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
         """Only those that may reach into a box, in the same order; all metres."""
@@ -265,9 +259,8 @@ class Objects:
             far = thing.radius
             return x0 - far <= thing.x <= x1 + far and y0 - far <= thing.y <= y1 + far
 
-        return Objects(
-            tuple(s for s in self.solids if near(s)),
-            tuple(c for c in self.crowns if near(c)),
-            tuple(p for p in self.patches if near(p)),
-            tuple(w for w in self.wires if near(w)),
-        )
+        return Objects(*(tuple(filter(near, things)) for things in self._kinds))
+
+    @property
+    def _kinds(self) -> tuple[tuple[Any, ...], ...]:
+        return self.solids, self.crowns, self.patches, self.wires

@@ -6,7 +6,7 @@ import numpy as np
 
 from tiler.core.classes import UNCLASSIFIED
 from tiler.simulate.objects import BUILDING, Crown, Objects, Patch, Solid
-from tiler.simulate.terrain import Terrain
+from tiler.simulate.terrain import Line, Terrain
 
 STEEPEST_HOUSE = 0.3
 """Rise of the ground per metre where nobody builds any more."""
@@ -87,28 +87,36 @@ class Plot:
         top = high + height + pitch * width / 2
         self._solids.append(Solid(x, y, angle, length, width, low - 1.0, top, pitch, label))
 
+    def thing(self, x: float, y: float, angle: float, length: float, width: float, tall: float) -> None:
+        """A solid that is no building, ``tall`` above the ground at its middle."""
+        low = self.ground(x, y)
+        self._solids.append(Solid(x, y, angle, length, width, low - 1.0, low + tall, label=UNCLASSIFIED))
+
+    def level(self, x: float, y: float, radius: float, most: float) -> bool:
+        """Whether the ground within a radius rises by no more than that."""
+        low, high = self.terrain.range_around(x, y, radius)
+        return high - low <= most
+
     def house(self, x: float, y: float, angle: float) -> bool:
         """A gabled house of 1-3 storeys, some with a garage and a shed; False where it cannot stand."""
         length, width = self.rng.uniform(9, 16), self.rng.uniform(7, 11)
         height, pitch = self.rng.uniform(3, 7.5), float(self.rng.choice([0.0, 0.5, 0.7, 0.9]))
-        low, high = self.terrain.range_around(x, y, length / 2)
-        if high - low > STEEPEST_HOUSE * length * 1.4 or not self.free(x, y, 0.6 * length):
+        even = self.level(x, y, length / 2, STEEPEST_HOUSE * length * 1.4)
+        if not even or not self.free(x, y, 0.6 * length):
             return False
         self.box(x, y, angle, length, width, height, pitch)
-        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        axis = Line(x, y, angle)
         if self.rng.random() < 0.5:
-            off = length / 2 + 1.7
-            self.box(x + off * cos, y + off * sin, angle, 3.4, 6.0, 2.5)
+            self.box(*axis.at(length / 2 + 1.7), angle, 3.4, 6.0, 2.5)
         if self.rng.random() < 0.4:
-            off = width / 2 + self.rng.uniform(5, 8)
-            self.box(x - off * sin, y + off * cos, angle, 3.0, 2.5, 2.1, 0.3)
+            self.box(*axis.at(0.0, width / 2 + self.rng.uniform(5, 8)), angle, 3.0, 2.5, 2.1, 0.3)
         return True
 
     def terrace(self, x: float, y: float, angle: float, length: float, depth: float) -> bool:
         """Adjoining houses of 5 to 6 m each, a row of low sheds behind their gardens, fences between."""
         if not self.free(x, y, 0.4 * length):
             return False
-        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        axis = Line(x, y, angle)
         houses = max(2, round(length / 5.5))
         width = length / houses
         height, pitch = self.rng.uniform(5.0, 6.5), self.rng.uniform(0.6, 1.0)
@@ -116,29 +124,25 @@ class Plot:
         for house in range(houses):
             along = (house + 0.5) * width - length / 2
             step = self.rng.uniform(-0.6, 0.6)
-            hx, hy = x + along * cos, y + along * sin
-            self.box(hx, hy, angle, width, depth, height + step, pitch)
-            off = depth / 2 + garden
-            self.box(hx - off * sin, hy + off * cos, angle, width, 3.0, shed)
+            self.box(*axis.at(along), angle, width, depth, height + step, pitch)
+            self.box(*axis.at(along, depth / 2 + garden), angle, width, 3.0, shed)
             if self.rng.random() < 0.5:
-                off, edge = (depth + garden) / 2, along + width / 2
-                fx, fy = x + edge * cos - off * sin, y + edge * sin + off * cos
-                self.hedge(fx, fy, angle + 90.0, garden - 2.0)
+                fence = axis.at(along + width / 2, (depth + garden) / 2)
+                self.hedge(*fence, angle + 90.0, garden - 2.0)
         return True
 
     def dugout(self, x: float, y: float) -> None:
         """A garage or cellar dug into a slope: its flat roof hardly rises above the ground behind it."""
         length, width = self.rng.uniform(5, 14), self.rng.uniform(5, 8)
-        low, high = self.terrain.range_around(x, y, 0.35 * float(np.hypot(length, width)))
-        if high - low > 0.8 and self.free(x, y, 0.5 * length):
+        radius = 0.35 * float(np.hypot(length, width))
+        if not self.level(x, y, radius, 0.8) and self.free(x, y, 0.5 * length):
             self.box(x, y, float(self.rng.uniform(0, 180)), length, width, self.rng.uniform(0.1, 0.6))
 
     def flats(self, x: float, y: float, angle: float) -> bool:
         """A flat-roofed or gabled block of 3-7 storeys."""
         length, width = self.rng.uniform(16, 32), self.rng.uniform(10, 14)
         pitch = float(self.rng.choice([0.0, 0.0, 0.6]))
-        low, high = self.terrain.range_around(x, y, length / 2)
-        if high - low > 4.0 or not self.free(x, y, 0.5 * length):
+        if not self.level(x, y, length / 2, 4.0) or not self.free(x, y, 0.5 * length):
             return False
         self.box(x, y, angle, length, width, self.rng.uniform(9, 21), pitch)
         return True
@@ -146,8 +150,7 @@ class Plot:
     def courtyard(self, depth: float, closed: bool) -> bool:
         """Four wings (three if not closed) around a yard, along the edges of the block."""
         outer = self.side / 2 - self.street - 2.0
-        low, high = self.terrain.range_around(self.x, self.y, outer)
-        if high - low > 5.0 or not self.free(self.x, self.y, 1.2 * outer):
+        if not self.level(self.x, self.y, outer, 5.0) or not self.free(self.x, self.y, 1.2 * outer):
             return False
         height, pitch = self.rng.uniform(9, 18), float(self.rng.choice([0.0, 0.7]))
         middle = outer - depth / 2
@@ -161,8 +164,7 @@ class Plot:
     def podium(self) -> bool:
         """A low base that nearly fills the block, a terrace before it, a tower on it."""
         side = self.side - 2 * self.street - 6.0
-        low, high = self.terrain.range_around(self.x, self.y, side / 2)
-        if high - low > 4.0 or not self.free(self.x, self.y, 0.7 * side):
+        if not self.level(self.x, self.y, side / 2, 4.0) or not self.free(self.x, self.y, 0.7 * side):
             return False
         self.box(self.x, self.y, 0.0, side, 0.8 * side, self.rng.uniform(3.5, 7))
         self.box(self.x, self.y - 0.45 * side, 0.0, 0.6 * side, 0.1 * side, self.rng.uniform(0.7, 1.5))
@@ -173,8 +175,7 @@ class Plot:
     def hall(self, length: float, width: float) -> bool:
         """A flat or slightly pitched hall with ventilators and a loading ramp."""
         angle = float(self.rng.choice([0.0, 90.0, self.rng.uniform(0, 180)]))
-        low, high = self.terrain.range_around(self.x, self.y, 0.35 * length)
-        if high - low > 5.0 or not self.free(self.x, self.y, 0.5 * length):
+        if not self.level(self.x, self.y, 0.35 * length, 5.0) or not self.free(self.x, self.y, 0.5 * length):
             return False
         pitch = float(self.rng.choice([0.0, 0.0, 0.08]))
         self.box(self.x, self.y, angle, length, width, self.rng.uniform(6, 11), pitch)
@@ -183,9 +184,7 @@ class Plot:
             dx, dy = self.rng.uniform(-0.25, 0.25, 2) * width
             x, y = self.x + float(dx), self.y + float(dy)
             self._solids.append(Solid(x, y, angle, 3.0, 2.0, top - 1.0, top + 1.2))
-        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
-        off = width / 2 + 2.0
-        self.box(self.x - off * sin, self.y + off * cos, angle, 0.4 * length, 4.0, 1.1)
+        self.box(*Line(self.x, self.y, angle).at(0.0, width / 2 + 2.0), angle, 0.4 * length, 4.0, 1.1)
         return True
 
     def tree(self, x: float, y: float, tall: float, dense: bool = False, widest: float = 6.0) -> None:
@@ -226,11 +225,8 @@ class Plot:
         for _ in range(self.rng.integers(low, high + 1)):
             x, y = self.pick(2.0)
             length, width = self.rng.uniform(1.5, 8), self.rng.uniform(1, 4)
-            angle, tall, cover = (
-                self.rng.uniform(0, 180),
-                self.rng.uniform(*height),
-                self.rng.uniform(0.3, 0.95),
-            )
+            angle, tall = self.rng.uniform(0, 180), self.rng.uniform(*height)
+            cover = self.rng.uniform(0.3, 0.95)
             if self.free(x, y, 0.0):
                 self._patches.append(Patch(x, y, angle, length, width, tall, cover))
 
@@ -243,29 +239,20 @@ class Plot:
         """A garden wall of 0.3 m, 0.6 to 2 m high, in pieces that follow the ground."""
         tall = self.rng.uniform(0.6, 2.0)
         pieces = max(1, round(length / 4.0))
-        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
         for piece in range(pieces):
-            off = (piece + 0.5) * length / pieces - length / 2
-            px, py = x + off * cos, y + off * sin
+            px, py = Line(x, y, angle).at((piece + 0.5) * length / pieces - length / 2)
             if self.free(px, py, 0.2):
-                low = self.ground(px, py)
-                self._solids.append(
-                    Solid(px, py, angle, length / pieces, 0.3, low - 1.0, low + tall, label=UNCLASSIFIED)
-                )
+                self.thing(px, py, angle, length / pieces, 0.3, tall)
 
     def car(self, x: float, y: float, angle: float) -> None:
         """A car or, now and then, a van: body and cabin."""
         if not self.free(x, y, 0.5):
             return
-        low, van = self.ground(x, y), self.rng.random() < 0.15
+        van = self.rng.random() < 0.15
         tall = self.rng.uniform(1.9, 2.6) if van else self.rng.uniform(1.4, 1.7)
-        self._solids.append(
-            Solid(x, y, angle, 4.4, 1.8, base=low - 1.0, top=low + (tall if van else 0.9), label=UNCLASSIFIED)
-        )
+        self.thing(x, y, angle, 4.4, 1.8, tall if van else 0.9)
         if not van:
-            self._solids.append(
-                Solid(x, y, angle, 2.3, 1.6, base=low - 1.0, top=low + tall, label=UNCLASSIFIED)
-            )
+            self.thing(x, y, angle, 2.3, 1.6, tall)
 
     def street_cars(self, share: float) -> None:
         """Parked cars along the south and the west edge of the block."""
@@ -284,9 +271,7 @@ class Plot:
             for x in np.arange(-reach, reach + 0.1, 3.6):
                 px, py = self.x + float(x), self.y + float(y)
                 if self.rng.random() < 0.6 and self.free(px, py, 1.2):
-                    low = self.ground(px, py)
-                    top = low + self.rng.uniform(2.6, 4.0)
-                    self._solids.append(Solid(px, py, 90.0, 13.6, 2.5, low - 1.0, top, label=UNCLASSIFIED))
+                    self.thing(px, py, 90.0, 13.6, 2.5, self.rng.uniform(2.6, 4.0))
 
     def parking(self) -> None:
         """Rows of cars all over the block."""

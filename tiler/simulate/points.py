@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -71,27 +71,19 @@ class Points:
 
     def take(self, keep: npt.NDArray[np.bool_]) -> Points:
         """Only the points of a mask, in the same order."""
-        return Points(
-            self.xyz[keep],
-            self.label[keep],
-            self.number[keep],
-            self.count[keep],
-            self.angle_deg[keep],
-            None if self.rgb is None else self.rgb[keep],
-        )
+        columns: list[Any] = [None if column is None else column[keep] for column in self._columns]
+        return Points(*columns)
 
     @classmethod
     def joined(cls, parts: list[Points]) -> Points:
         """All parts, one after the other (at least one)."""
-        rgb = [part.rgb for part in parts if part.rgb is not None]
-        return cls(
-            np.concatenate([part.xyz for part in parts]),
-            np.concatenate([part.label for part in parts]),
-            np.concatenate([part.number for part in parts]),
-            np.concatenate([part.count for part in parts]),
-            np.concatenate([part.angle_deg for part in parts]),
-            np.concatenate(rgb) if rgb else None,
-        )
+        columns = zip(*(part._columns for part in parts), strict=True)
+        whole: list[Any] = [None if column[0] is None else np.concatenate(column) for column in columns]
+        return cls(*whole)
+
+    @property
+    def _columns(self) -> tuple[Any, ...]:
+        return self.xyz, self.label, self.number, self.count, self.angle_deg, self.rgb
 
 
 class Sensor(Protocol):
@@ -141,8 +133,7 @@ def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> Points:
     points = sensor.survey(site, ix, iy)
     xyz = np.round(points.xyz, 3)
     inside = np.all((xyz[:, :2] >= 0) & (xyz[:, :2] < site.side_m), axis=1)
-    points = Points(xyz, points.label, points.number, points.count, points.angle_deg, points.rgb)
-    return points.take(inside)
+    return replace(points, xyz=xyz).take(inside)
 
 
 def survey(site: Site, sensor: Sensor) -> Points:

@@ -7,22 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from tiler.errors import ConfigError
+from tiler.simulate import blocks
 from tiler.simulate.als import AlsSensor
-from tiler.simulate.blocks import (
-    bluff_block,
-    city_block,
-    forest_block,
-    hall_block,
-    industry_block,
-    mixed_block,
-    mountain_block,
-    park_block,
-    river_block,
-    row_block,
-    suburb_block,
-    terrace_block,
-    works_block,
-)
 from tiler.simulate.landmarks import bridge, power_line
 from tiler.simulate.objects import Objects
 from tiler.simulate.points import Sensor, UInt8s, survey
@@ -60,7 +46,7 @@ def city(seed: int, side_m: float) -> Site:
     bank = Bank(side_m * 0.86, drop=6.0, width=4.0, swing=side_m * 0.04, period=side_m * 0.9)
     terrain = Terrain(120.0, _tilt(0.01, -0.006, side_m), (Waves.random(rng, 9.0, 380.0), dam, bank))
     line = power_line(terrain, Line(0.0, side_m * 0.93, 2.0), side_m)
-    return Site(terrain, side_m, seed, city_block, 50.0, line, street_m=5.0, green=0.55)
+    return Site(terrain, side_m, seed, blocks.city_block, 50.0, line, street_m=5.0, green=0.55)
 
 
 def suburb(seed: int, side_m: float) -> Site:
@@ -70,7 +56,7 @@ def suburb(seed: int, side_m: float) -> Site:
     pond = Basin(side_m * 0.78, side_m * 0.75, 18.0, 2.0, 4.0, water=True)
     terrain = Terrain(210.0, _tilt(0.02, 0.03, side_m), (Waves.random(rng, 10.0, 260.0), cutting, pond))
     deck = bridge(terrain, Line(side_m * 0.46, side_m * 0.297, 95.0), 26.0, 8.0)
-    return Site(terrain, side_m, seed, suburb_block, 36.0, deck, street_m=3.0, green=0.8)
+    return Site(terrain, side_m, seed, blocks.suburb_block, 36.0, deck, street_m=3.0, green=0.8)
 
 
 def forest(seed: int, side_m: float) -> Site:
@@ -86,7 +72,7 @@ def forest(seed: int, side_m: float) -> Site:
         _tilt(0.15, 0.1, side_m),
         (*hills, Waves.random(rng, 6.0, 50.0), Waves.random(rng, 0.5, 8.0), stream),
     )
-    return Site(terrain, side_m, seed, forest_block, 25.0, green=0.3)
+    return Site(terrain, side_m, seed, blocks.forest_block, 25.0, green=0.3)
 
 
 def mountain(seed: int, side_m: float) -> Site:
@@ -100,7 +86,7 @@ def mountain(seed: int, side_m: float) -> Site:
     rough = (Waves.random(rng, 3.0, 70.0), Waves.random(rng, 0.8, 12.0))
     terrain = Terrain(800.0, _tilt(0.05, 0.02, side_m), (*ridges, *rough))
     line = power_line(terrain, Line(0.0, side_m * 0.45, 8.0), side_m)
-    return Site(terrain, side_m, seed, mountain_block, 36.0, line, street_m=2.0, green=0.5)
+    return Site(terrain, side_m, seed, blocks.mountain_block, 36.0, line, street_m=2.0, green=0.5)
 
 
 def terraces(seed: int, side_m: float) -> Site:
@@ -110,7 +96,7 @@ def terraces(seed: int, side_m: float) -> Site:
     cliff = Cliff(Line(0.0, side_m * 0.72, -4.0), 28.0, 9.0, swing=7.0, period=90.0)
     wall = Cliff(Line(side_m * 0.5, side_m * 0.09, 6.0), 3.0, 0.3)
     terrain = Terrain(300.0, _tilt(0.03, 0.08, side_m), (steps, cliff, wall, Waves.random(rng, 3.0, 90.0)))
-    return Site(terrain, side_m, seed, terrace_block, 40.0, green=0.5)
+    return Site(terrain, side_m, seed, blocks.terrace_block, 40.0, green=0.5)
 
 
 def quarry(seed: int, side_m: float) -> Site:
@@ -125,7 +111,7 @@ def quarry(seed: int, side_m: float) -> Site:
         _tilt(-0.02, 0.03, side_m),
         (Waves.random(rng, 4.0, 140.0), Waves.random(rng, 0.6, 9.0), pit, pool, heap, dam),
     )
-    return Site(terrain, side_m, seed, works_block, 40.0, street_m=2.0, green=0.3)
+    return Site(terrain, side_m, seed, blocks.works_block, 40.0, street_m=2.0, green=0.3)
 
 
 def river(seed: int, side_m: float) -> Site:
@@ -145,7 +131,7 @@ def river(seed: int, side_m: float) -> Site:
             along * np.sin(turn) + sway * np.cos(turn),
         )
         decks = decks + bridge(terrain, Line(x, y, -6.0), stream.width + 24.0, 9.0)
-    return Site(terrain, side_m, seed, river_block, 40.0, decks, street_m=3.0, green=0.75)
+    return Site(terrain, side_m, seed, blocks.river_block, 40.0, decks, street_m=3.0, green=0.75)
 
 
 def halls(seed: int, side_m: float) -> Site:
@@ -153,7 +139,7 @@ def halls(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     ramp = Embankment(side_m * 0.98, side_m * 0.5, 90.0, height=4.0, crest_width=8.0, slope_width=6.0)
     terrain = Terrain(60.0, _tilt(0.008, 0.004, side_m), (Waves.random(rng, 2.5, 300.0), ramp))
-    return Site(terrain, side_m, seed, hall_block, 100.0, street_m=8.0, green=0.35)
+    return Site(terrain, side_m, seed, blocks.hall_block, 100.0, street_m=8.0, green=0.35)
 
 
 def mixed(seed: int, side_m: float) -> Site:
@@ -161,7 +147,7 @@ def mixed(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     dam = Embankment(side_m * 0.4, side_m * 0.5, 70.0, height=4.0, crest_width=8.0, slope_width=7.0)
     terrain = Terrain(250.0, _tilt(0.03, -0.02, side_m), (Waves.random(rng, 22.0, 260.0), dam))
-    return Site(terrain, side_m, seed, mixed_block, 42.0, street_m=3.0, green=0.7)
+    return Site(terrain, side_m, seed, blocks.mixed_block, 42.0, street_m=3.0, green=0.7)
 
 
 def village(seed: int, side_m: float) -> Site:
@@ -174,7 +160,7 @@ def village(seed: int, side_m: float) -> Site:
         _tilt(0.1, 0.22, side_m),
         (Waves.random(rng, 6.0, 90.0), Waves.random(rng, 0.4, 8.0), gully, steps),
     )
-    return Site(terrain, side_m, seed, suburb_block, 32.0, street_m=2.5, green=0.45)
+    return Site(terrain, side_m, seed, blocks.suburb_block, 32.0, street_m=2.5, green=0.45)
 
 
 def park(seed: int, side_m: float) -> Site:
@@ -184,7 +170,7 @@ def park(seed: int, side_m: float) -> Site:
     terrain = Terrain(
         40.0, _tilt(0.02, 0.01, side_m), (Waves.random(rng, 4.0, 90.0), Waves.random(rng, 0.3, 9.0), pond)
     )
-    return Site(terrain, side_m, seed, park_block, 30.0, green=0.95)
+    return Site(terrain, side_m, seed, blocks.park_block, 30.0, green=0.95)
 
 
 def rows(seed: int, side_m: float) -> Site:
@@ -192,14 +178,14 @@ def rows(seed: int, side_m: float) -> Site:
     rng = _rng(seed)
     canal = River(Line(0.0, side_m * 0.62, 0.0), 9.0, 1.5, 2.5)
     terrain = Terrain(2.0, _tilt(0.002, 0.001, side_m), (Waves.random(rng, 0.5, 80.0), canal))
-    return Site(terrain, side_m, seed, row_block, 44.0, street_m=3.5, green=0.5)
+    return Site(terrain, side_m, seed, blocks.row_block, 44.0, street_m=3.5, green=0.5)
 
 
 def industry(seed: int, side_m: float) -> Site:
     """Large flat halls, yards of trailers and parking on nearly flat land."""
     rng = _rng(seed)
     terrain = Terrain(140.0, _tilt(0.006, -0.004, side_m), (Waves.random(rng, 1.5, 220.0),))
-    return Site(terrain, side_m, seed, industry_block, 105.0, street_m=6.0, green=0.3)
+    return Site(terrain, side_m, seed, blocks.industry_block, 105.0, street_m=6.0, green=0.3)
 
 
 def bluff(seed: int, side_m: float) -> Site:
@@ -209,7 +195,7 @@ def bluff(seed: int, side_m: float) -> Site:
     steps = Cliff(Line(0.0, side_m * 0.42, 6.0), 6.0, 2.5, swing=9.0, period=70.0)
     rough = (Waves.random(rng, 5.0, 60.0), Waves.random(rng, 1.0, 11.0))
     terrain = Terrain(180.0, _tilt(0.01, 0.02, side_m), (face, steps, *rough))
-    return Site(terrain, side_m, seed, bluff_block, 32.0, street_m=2.0, green=0.7)
+    return Site(terrain, side_m, seed, blocks.bluff_block, 32.0, street_m=2.0, green=0.7)
 
 
 def plane(seed: int, side_m: float) -> Site:

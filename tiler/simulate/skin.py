@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -97,12 +98,8 @@ def skin_of(site: Site, box: Box, margin_m: float, edge_m: float) -> Skin:
     high = [int(np.ceil((edge + margin_m) / PIXEL_M)) for edge in box[2:]]
     x, y = np.meshgrid(np.arange(low[0], high[0] + 1) * PIXEL_M, np.arange(low[1], high[1] + 1) * PIXEL_M)
     bare = site.terrain.height_at(x, y)
-    flat = _covered(site, x.ravel(), y.ravel(), bare.ravel())
-    sharp, label, thing = (
-        flat[0].reshape(bare.shape),
-        flat[1].reshape(bare.shape),
-        flat[2].reshape(bare.shape),
-    )
+    flat: tuple[npt.NDArray[Any], ...] = _covered(site, x.ravel(), y.ravel(), bare.ravel())
+    sharp, label, thing = (column.reshape(bare.shape) for column in flat)
     sigma = edge_m / PIXEL_M
     smooth = ndimage.gaussian_filter(sharp, sigma, mode="nearest")
     rise = smooth - ndimage.gaussian_filter(bare, sigma, mode="nearest")

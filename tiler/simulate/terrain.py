@@ -34,6 +34,11 @@ class Line:
         east, north = x - self.x, y - self.y
         return east * cos + north * sin, north * cos - east * sin
 
+    def at(self, along: float, across: float = 0.0) -> tuple[float, float]:
+        """The place that lies so many metres along the line and to its left."""
+        cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
+        return float(self.x + along * cos - across * sin), float(self.y + along * sin + across * cos)
+
 
 @dataclass(frozen=True)
 class Hill:

@@ -35,12 +35,6 @@ Floats = npt.NDArray[np.float64]
 def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None = None) -> dict[str, Any]:
     """Differences DTM minus checkpoint, bilinear between pixel centres.
 
-    Parameters
-    ----------
-    dtm : path
-    points : Checkpoints
-    options : PointOptions
-
     Returns
     -------
     dict
