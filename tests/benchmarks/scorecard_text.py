@@ -209,8 +209,9 @@ def chosen_without(found: LeaveOneOut) -> str:
     )
     rows.append(["mean", "", percent(default), percent(left_out)])
     return (
-        f"Total error. All {found.settings} settings of this grid{few}, declared beforehand (defaults are in the middle): "
-        f"{grid}. For each sample the setting with the least mean error on the others was taken, and scored on it: "
+        f"Total error. All {found.settings} settings of this grid{few}, declared beforehand (the default is in its "
+        f"middle): {grid}. For each sample the setting with the least mean error on the others was taken, and scored "
+        f"on it: "
         f"{percent(left_out)} against {percent(default)} with the default, {100 * (left_out - default):+.2f} points. "
         f"The best of the grid on all samples, chosen with hindsight: {percent(found.best)}.\n\n"
         + table(["sample", "what was best on the others", "default", "left out"], rows)
