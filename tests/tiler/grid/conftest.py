@@ -87,14 +87,8 @@ def make_scene(tmp_path: Path) -> Callable[..., Scene]:
         store.allocate({cell: len(rows) for cell, rows in inside.items()})
         infos = {}
         for cell, rows in inside.items():
-            block = PointBlock(
-                local[:, rows],
-                np.ones(len(rows), np.uint8),
-                flags[rows],
-                np.ones((2, len(rows)), np.uint8),
-                None,
-                pack_origin(0, rows.astype(np.int64)),
-            )
+            ones, origin = np.ones((2, len(rows)), np.uint8), pack_origin(0, rows.astype(np.int64))
+            block = PointBlock(local[:, rows], ones[0], flags[rows], ones, None, origin)
             infos[cell] = store.write_bucket(cell, block, 0)
         store.publish_index(infos)
         for cell, rows in inside.items():

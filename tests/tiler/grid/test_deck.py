@@ -54,14 +54,11 @@ def found(height: Callable[[Floats, Floats], Floats], turn: float, seed: int = 1
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-SIDE / 2, SIDE / 2, (int((SIDE / SPACING) ** 2), 2))
     cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
-    z = height(xy[:, 0] * cos + xy[:, 1] * sin, xy[:, 1] * cos - xy[:, 0] * sin) + rng.normal(
-        0, 0.02, len(xy)
-    )
+    z = height(xy[:, 0] * cos + xy[:, 1] * sin, xy[:, 1] * cos - xy[:, 0] * sin)
+    z += rng.normal(0, 0.02, len(xy))
     n = int(SIDE / CELL)
-    rows, cols = (
-        n - 1 - ((xy[:, 1] + SIDE / 2) // CELL).astype(int),
-        ((xy[:, 0] + SIDE / 2) // CELL).astype(int),
-    )
+    cols, rows = ((xy.T + SIDE / 2) // CELL).astype(int)
+    rows = n - 1 - rows
     low, top = np.full((n, n), np.inf, np.float32), np.full((n, n), -np.inf, np.float32)
     np.minimum.at(low, (rows, cols), z.astype(np.float32))
     np.maximum.at(top, (rows, cols), z.astype(np.float32))
@@ -74,9 +71,8 @@ def found(height: Callable[[Floats, Floats], Floats], turn: float, seed: int = 1
         mask[r[directions == direction], c[directions == direction]] = True
         angle = math.pi * direction / DIRECTIONS
         across = (math.cos(angle), math.sin(angle))
-        deck, why = find_deck(
-            np.column_stack((xy, z)), np.ones(len(xy), np.bool_), mask[rows, cols], across, SPACING
-        )
+        xyz, every = np.column_stack((xy, z)), np.ones(len(xy), np.bool_)
+        deck, why = find_deck(xyz, every, mask[rows, cols], across, SPACING)
         assert (deck is None) == bool(why)
         decks += [] if deck is None else [deck]
     return decks

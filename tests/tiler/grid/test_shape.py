@@ -89,17 +89,9 @@ def test_gdal_says_the_same(kind: str, tmp_path: Path) -> None:
         pytest.skip("no gdaldem here")
     heights = hills(90, 110)
     source, target = tmp_path / "dtm.tif", tmp_path / "out.tif"
-    profile = {
-        "driver": "GTiff",
-        "height": 90,
-        "width": 110,
-        "count": 1,
-        "dtype": "float32",
-        "nodata": NODATA,
-        "transform": rasterio.Affine(2, 0, 500, 0, -2, 900),
-        "crs": "EPSG:25832",
-    }
-    with rasterio.open(source, "w", **profile) as raster:
+    grid = {"transform": rasterio.Affine(2, 0, 500, 0, -2, 900), "crs": "EPSG:25832"}
+    values = {"height": 90, "width": 110, "count": 1, "dtype": "float32", "nodata": NODATA}
+    with rasterio.open(source, "w", driver="GTiff", **grid, **values) as raster:
         raster.write(np.where(np.isnan(heights), NODATA, heights).astype(np.float32), 1)
     options = ["-multidirectional"] if kind == "hillshade" else []
     subprocess.run([gdaldem, kind, str(source), str(target), *options], check=True, capture_output=True)
@@ -119,29 +111,20 @@ def test_blocks_do_not_show_and_units_count(product: str, tmp_path: Path) -> Non
     heights = hills(600, 530)
     # The same slopes: heights in feet over metres, and in metres over feet.
     found = []
-    for number, (units, scale) in enumerate(
-        ((Units(), 1.0), (Units(METRE, FOOT), 1 / 0.3048), (Units(FOOT, METRE), 0.3048))
-    ):
-        lattice = Lattice(Fraction(1000))
-        meta = StoreMeta(
-            frame=CoordFrame(units),
-            bucket=Lattice(Fraction(50_000)),
-            fine=Lattice(Fraction(500)),
-            has_rgb=False,
-        )
+    cases = ((Units(), 1.0), (Units(METRE, FOOT), 1 / 0.3048), (Units(FOOT, METRE), 0.3048))
+    for number, (units, scale) in enumerate(cases):
+        meta = StoreMeta(CoordFrame(units), Lattice(Fraction(50_000)), Lattice(Fraction(500)), has_rgb=False)
         store = create_store(str(tmp_path / f"{number}.zarr"), meta)
-        spec, fill = RasterSpec(lattice, -100, 400, 600, 530), PRODUCTS[product].nodata
+        spec, fill = RasterSpec(Lattice(Fraction(1000)), -100, 400, 600, 530), PRODUCTS[product].nodata
         store.create_raster("dtm", 600, 530)
         store.create_raster(product, 600, 530, fill)
         values = np.where(np.isnan(heights), NODATA, heights * scale).astype(np.float32)
         for b in spec.blocks(512):
             store.write_block("dtm", b, values[b.row : b.row + b.height, b.col : b.col + b.width])
         for b in spec.blocks(512):
-            derive_block(
-                store.url, DeriveBlock(name=product, spec=spec, block=b, sources=("dtm",), fill=fill)
-            )
-        whole = [store.read_block(product, b) for b in spec.blocks(1024)]
-        found.append(whole[0])
+            work = DeriveBlock(name=product, spec=spec, block=b, sources=("dtm",), fill=fill)
+            derive_block(store.url, work)
+        found += [store.read_block(product, b) for b in spec.blocks(1024)]
     e, n = gradients(padded(heights.astype(np.float32).astype(np.float64)), 1.0)
     truth = (multidirectional_hillshade if product == "hillshade" else slope_deg)(e, n).astype(np.float32)
     truth = np.where(np.isnan(truth), fill, truth).astype(np.float32)

@@ -24,10 +24,9 @@ PIXEL = Fraction(2000)
 
 
 def surface_work(scene: Scene, spec: RasterSpec, block: Block, **options: Any) -> SurfaceBlock:
+    where = {"name": "dsm", "terrain": "dtm", "spec": spec, "block": block, "data": scene.data, "rule": FINAL}
     usual = {"max_edge": Fraction(50_000), "halo": 0, "reach": 1, "spike": Fraction(5000)}
-    return SurfaceBlock(
-        name="dsm", terrain="dtm", spec=spec, block=block, data=scene.data, rule=FINAL, **{**usual, **options}
-    )
+    return SurfaceBlock(**{**where, **usual, **options})
 
 
 def dsm(scene: Scene, block: int = 512, **options: Any) -> tuple[np.ndarray, list[dict]]:
@@ -66,14 +65,13 @@ def test_spikes_noise_and_withheld_points_are_left_out(make_scene) -> None:
     _, rows = np.unique(xyz[:, :2] // 20_000, axis=0, return_index=True)  # no two side by side
     rows = rows[(xyz[rows, :2] % 20_000 < 14_000).all(axis=1)]
     extra = xyz[rows] + np.array([1, 1, 90_000])
-    labels = np.concatenate(
-        (np.full(len(xyz), 2, np.uint8), np.resize(np.uint8([1, 7, 18, 0x87, 2]), len(rows)))
-    )
+    labels = np.full(len(xyz) + len(rows), 2, np.uint8)
+    labels[len(xyz) :] = np.resize(np.uint8([1, 7, 18, 0x87, 2]), len(rows))
     flags = np.zeros(len(labels), np.uint8)
     flags[-1] = WITHHELD_FLAG
-    odd, _ = dsm(make_scene(np.concatenate((xyz, extra)), labels, flags))
-    assert odd.tobytes() == clean.tobytes()
-    kept, _ = dsm(make_scene(np.concatenate((xyz, extra)), labels, flags), spike="100000")
+    scene = make_scene(np.concatenate((xyz, extra)), labels, flags)
+    assert dsm(scene)[0].tobytes() == clean.tobytes()
+    kept, _ = dsm(scene, spike="100000")
     higher = kept > clean + 50
     assert 0 < higher.sum() <= np.isin(labels[-len(rows) :], (1, 2)).sum()
 
@@ -112,9 +110,8 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
     assert both.mean() > 0.9
     assert (surface[both] >= terrain[both]).all()
     plain, _ = dsm(scene)
-    assert (plain[both] < terrain[both] - 0.5).sum() > len(
-        alone
-    )  # also of ground at the lower side of its pixel
+    # Also of ground at the lower side of its pixel.
+    assert (plain[both] < terrain[both] - 0.5).sum() > len(alone)
     assert record["deep"] == len(alone) > 10
     deepest = plain[both] < terrain[both] - 20
     assert deepest.sum() == len(alone)
@@ -135,13 +132,8 @@ def test_the_distance_is_that_of_the_nearest_ground_point(make_scene, shape, uni
     scene = make_scene(xyz, labels, frame=CoordFrame(Units(unit, unit)))
     spec, cap = RasterSpec.covering(Lattice(Fraction(1000)), scene.data), 15_000
     scene.store.create_raster("distance", spec.height, spec.width, 0.0)
-    records = [
-        distance_block(
-            scene.store.url,
-            DistanceBlock(name="distance", spec=spec, block=b, rule=FINAL, cap=Fraction(cap)),
-        )
-        for b in spec.blocks(512)
-    ]
+    how = {"name": "distance", "spec": spec, "rule": FINAL, "cap": Fraction(cap)}
+    records = [distance_block(scene.store.url, DistanceBlock(block=b, **how)) for b in spec.blocks(512)]
     (found,) = [scene.store.read_block("distance", b) for b in spec.blocks(1024)]
     x = (np.arange(spec.width) + spec.west) * 1000 + 500
     y = (spec.north - np.arange(spec.height)) * 1000 - 500

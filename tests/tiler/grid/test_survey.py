@@ -49,9 +49,8 @@ def test_the_outline_is_found_whatever_lies_inside(name: str, bridge: int) -> No
     outline = OUTLINES[name]
     row, col = {"islands": (40, 120), "notch": (120, 80)}.get(name, (80, 80))
     lake = (ROW - row) ** 2 + (COL - col) ** 2 < 13**2
-    ragged = outline & (
-        np.random.default_rng(4).random(outline.shape) < 0.7
-    )  # every third cell without a point
+    # Every third cell without a point.
+    ragged = outline & (np.random.default_rng(4).random(outline.shape) < 0.7)
     values = survey_of(ragged & ~lake, bridge)
     inside = values >= SURVEYED
     assert (values[ndimage.binary_erosion(lake, iterations=4)] == VOID).all()

@@ -37,9 +37,8 @@ def filled(make_scene, monkeypatch: pytest.MonkeyPatch) -> tuple[Scene, RasterSp
     monkeypatch.setattr("tiler.grid.voids.PIECE", 40)
     xyz = plane_points(40_000, SIDE)
     x, y = xyz[:, 0], xyz[:, 1]
-    lakes = ((x - 70_000) ** 2 + (y - 80_000) ** 2 < 40_000**2) | (
-        (abs(x - 150_000) < 20_000) & (abs(y - 60_000) < 30_000)
-    )
+    lakes = (x - 70_000) ** 2 + (y - 80_000) ** 2 < 40_000**2
+    lakes |= (abs(x - 150_000) < 20_000) & (abs(y - 60_000) < 30_000)
     notch = (x > 140_000) & (y > 120_000)
     scene = make_scene(xyz[~(lakes | notch)])
     spec = scene.grid_into_store("dtm", Fraction(1000), max_edge=str(LIMIT))
@@ -48,9 +47,8 @@ def filled(make_scene, monkeypatch: pytest.MonkeyPatch) -> tuple[Scene, RasterSp
         scene.store.create_raster(name, coarse.height, coarse.width, 0)
     for b in coarse.blocks(512):
         occupancy_block(scene.store.url, PointsBlock(name="occupancy", spec=coarse, block=b, rule=FINAL))
-    survey_raster(
-        scene.store.url, MakeSurvey("survey", coarse, "occupancy", LIMIT / 2000, LIMIT / 2000, spec)
-    )
+    survey = MakeSurvey("survey", coarse, "occupancy", LIMIT / 2000, LIMIT / 2000, spec)
+    survey_raster(scene.store.url, survey)
     rasters = VoidRasters("dtm", spec, "survey", coarse, "voids")
     record = find_voids(scene.store.url, rasters)
     voids = tuple(Void(n + 1, Block(*box)) for n, box in enumerate(record["voids"]))
@@ -79,16 +77,8 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
     in_notch = (x[None] > 160) & (y[:, None] > 140)
     assert has[in_lake].all()
     assert not has[in_notch].any()
-    mask_work = MaskBlock(
-        name="mask",
-        spec=spec,
-        block=work.block,
-        rule=FINAL,
-        dtm="dtm",
-        filled="filled",
-        survey="survey",
-        coarse=work.rasters.coarse,
-    )
+    sources = {"dtm": "dtm", "filled": "filled", "survey": "survey", "coarse": work.rasters.coarse}
+    mask_work = MaskBlock(name="mask", spec=spec, block=work.block, rule=FINAL, **sources)
     mask_block(scene.store.url, mask_work)
     mask = whole(scene, spec, "mask")
     assert (mask[in_lake & ~had] == FILLED).all()

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import struct
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -131,9 +130,8 @@ def test_what_is_overruled_and_what_is_not_is_told(make_cloud: Any) -> None:
     for given in ("none", "EPSG:2992"):
         agreed = settle(path, crs=given)
         assert agreed.units == Units()
-        (note,) = [
-            text for text in agreed.notes if text.startswith(f"--crs {given}: is for files without a CRS")
-        ]
+        told = f"--crs {given}: is for files without a CRS"
+        (note,) = [text for text in agreed.notes if text.startswith(told)]
         assert note.endswith("that of 1 of 1 files, ETRS89 / UTM zone 32N, counts")
     (note,) = [text for text in settle(path, units="ft").notes if "although" in text]
     assert "x and y are taken as foot although their CRS says metre" in note
@@ -167,11 +165,8 @@ KEYED = {
     "US feet": ([(1024, 1), (3072, 2903), (3076, 9003)], Units(US_SURVEY_FOOT, US_SURVEY_FOOT)),
     "heights in feet": ([(3072, 25832), (4099, 9002)], Units(METRE, FOOT)),
     "vertical CRS": ([(3072, 25832), (4096, 6360)], Units(METRE, US_SURVEY_FOOT)),
-    "unit above the datum's": (
-        [(3072, 2903), (4096, 5703), (4099, 9003)],
-        Units(US_SURVEY_FOOT, US_SURVEY_FOOT),
-    ),
-    "a datum for a CRS": ([(3072, 2903), (4096, 5103), (4099, 9003)], Units(US_SURVEY_FOOT, US_SURVEY_FOOT)),
+    "unit above the datum's": ([(3072, 2903), (4096, 5703), (4099, 9003)], UNITS["EPSG:2903"]),
+    "a datum for a CRS": ([(3072, 2903), (4096, 5103), (4099, 9003)], UNITS["EPSG:2903"]),
 }
 
 
@@ -190,9 +185,8 @@ def test_user_defined_keys_are_said(make_cloud: Any) -> None:
 @pytest.mark.parametrize("bit", [False, True])
 def test_wkt_bit_says_which_of_two_counts(make_cloud: Any, bit: bool) -> None:
     wkt = CRS.from_epsg(25833).to_wkt("WKT1_GDAL")
-    path = make_cloud(
-        "two.las", n=5, crs=None, version="1.4", point_format=6, edit=with_keys((3072, 25832), wkt=wkt)
-    )
+    edit = with_keys((3072, 25832), wkt=wkt)
+    path = make_cloud("two.las", n=5, crs=None, version="1.4", point_format=6, edit=edit)
     data = bytearray(path.read_bytes())
     data[6] = (data[6] | 0x10) if bit else (data[6] & ~0x10)
     path.write_bytes(data)
@@ -219,9 +213,7 @@ def test_projections_of_pyproj_and_rasterio_live_together(make_cloud: Any) -> No
     wkt = settle(make_cloud("a.las", n=5, crs="EPSG:2154")).wkt
     assert rasterio_crs.CRS.from_wkt(wkt).to_epsg() == 2154
     assert CRS.from_epsg(2903).axis_info[0].unit_name == "US survey foot"
-    assert rasterio_crs.CRS.from_epsg(2903).linear_units_factor[1] == pytest.approx(
-        float(Fraction(1200, 3937))
-    )
+    assert rasterio_crs.CRS.from_epsg(2903).linear_units_factor[1] == pytest.approx(1200 / 3937)
 
 
 def test_digest_and_size_are_in_the_description(make_cloud: Any) -> None:

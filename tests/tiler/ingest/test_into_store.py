@@ -59,12 +59,9 @@ def content(store: TileStore) -> list[Any]:
     found = []
     for cell, info in store.buckets().items():
         block = store.read_bucket(cell, columns=columns)
-        rows = np.concatenate(
-            [block.xyz, block.classification[np.newaxis], block.flags[np.newaxis], block.returns]
-        )
-        found.append(
-            (cell, info, sorted(map(tuple, rows.T.tolist())), rows[:3, : info.n_candidates].tolist())
-        )
+        rows = np.vstack([block.xyz, block.classification, block.flags, block.returns])
+        points, candidates = sorted(map(tuple, rows.T.tolist())), rows[:3, : info.n_candidates].tolist()
+        found.append((cell, info, points, candidates))
     return found
 
 
@@ -109,9 +106,8 @@ def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: P
     cells = tuple(store.buckets())
     for source, path in enumerate(paths):
         out = tmp_path / "out" / f"{source}.laz"
-        write_classified(
-            url, WriteClassified(path=str(path), source=source, out=str(out), labels="final", cells=cells)
-        )
+        work = WriteClassified(path=str(path), source=source, out=str(out), labels="final", cells=cells)
+        write_classified(url, work)
         before, after = laspy.read(path), laspy.read(out)
         expected = np.asarray(before.classification).copy()
         rows = np.array(sorted(stored[source]))
@@ -124,15 +120,9 @@ def test_odd_clouds_through_the_store(shared_data: Path, tmp_path: Path) -> None
     path = shared_data / "odd" / "simple.copc.laz"
     if not path.exists():
         pytest.skip(f"no {path}")
-    store = create_store(
-        str(tmp_path / "s.zarr"),
-        StoreMeta(
-            CoordFrame(origin=(637_000_000, 851_000_000)),
-            Lattice(Fraction(10**6)),
-            Lattice(Fraction(1000)),
-            True,
-        ),
-    )
+    frame = CoordFrame(origin=(637_000_000, 851_000_000))
+    meta = StoreMeta(frame, Lattice(Fraction(10**6)), Lattice(Fraction(1000)), True)
+    store = create_store(str(tmp_path / "s.zarr"), meta)
     record = spool_piece(store.url, SpoolPiece(str(path), 0, "p", 0, 1065))
     assert record["stored"] == 1065
     assert sum(n for _, _, n in store.piece_index("p")) == 1065

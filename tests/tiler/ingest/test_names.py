@@ -84,18 +84,16 @@ def test_any_name_is_read_and_kept(name: bytes, make_cloud: Any, tmp_path: Path)
     assert plan.names == {path: Path(path.name).with_suffix(".laz")}
 
 
-def test_classified_files_stay_below_their_folder(make_cloud: Any, tmp_path: Path) -> None:
+def test_classified_files_stay_below_their_folder(
+    make_cloud: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = make_cloud("a/b/one.las", n=3)
     (tmp_path / "a" / "two.las").symlink_to(make_cloud("c/two.las", n=3))
-    cwd = os.getcwd()
-    os.chdir(tmp_path / "a" / "b")
-    try:
-        for inputs in (["../"], ["../b/../../a"], [str(tmp_path / "a")], [str(path), "../two.las"]):
-            names = output_names(inputs, [inspect(p) for p in find_inputs(inputs)])
-            assert all(".." not in n.parts and not n.is_absolute() for n in names.values()), names
-            assert sorted(n.name for n in names.values()) == ["one.laz", "two.laz"]
-    finally:
-        os.chdir(cwd)
+    monkeypatch.chdir(tmp_path / "a" / "b")
+    for inputs in (["../"], ["../b/../../a"], [str(tmp_path / "a")], [str(path), "../two.las"]):
+        names = output_names(inputs, [inspect(p) for p in find_inputs(inputs)])
+        assert all(".." not in n.parts and not n.is_absolute() for n in names.values()), names
+        assert sorted(n.name for n in names.values()) == ["one.laz", "two.laz"]
 
 
 def test_names_that_would_become_one_are_refused(make_cloud: Any, tmp_path: Path) -> None:
@@ -104,21 +102,19 @@ def test_names_that_would_become_one_are_refused(make_cloud: Any, tmp_path: Path
         make_plan([str(p) for p in paths], RunConfig(in_process=True))
 
 
-RUN_KEYS = ("state", "version", "configuration", "plan", "stages")
+RUN: dict[str, Any] = {name: {} for name in ("state", "version", "configuration", "plan", "stages")}
 
 
 def a_run(folder: Path) -> None:
-    """The files by which the folder of a run is known."""
-    content = {name: {} for name in RUN_KEYS}
-    (folder / "run.json").write_text(json.dumps(content))
+    """The file by which the folder of a run is known."""
+    (folder / "run.json").write_text(json.dumps(RUN))
 
 
 def found(notes: list[str], root: Path, *inputs: object, **options: Any) -> list[str]:
     """Inputs by their place below a folder; what is noted goes to ``notes``."""
     notes.clear()
-    return sorted(
-        str(p.relative_to(root)) for p in find_inputs([str(i) for i in inputs], note=notes.append, **options)
-    )
+    paths = find_inputs([str(i) for i in inputs], note=notes.append, **options)
+    return sorted(str(path.relative_to(root)) for path in paths)
 
 
 def test_results_of_a_run_are_no_inputs_wherever_they_lie(make_cloud: Any, tmp_path: Path) -> None:
@@ -139,16 +135,12 @@ def test_results_of_a_run_are_no_inputs_wherever_they_lie(make_cloud: Any, tmp_p
     assert found(notes, root, root / "*") == mine
     assert found(notes, root, root, out=root / "out") == mine
     named = ["out/classified/a.laz", "out/classified/b/c.laz"]
-    assert (
-        found(notes, root, root / "out" / "classified")
-        == named
-        == found(notes, root, root / "out/classified/**/*.laz")
-    )
+    for place in (root / "out/classified", root / "out/classified/**/*.laz"):
+        assert found(notes, root, place) == named
     assert found(notes, root, root / "out" / "classified" / "a.laz") == named[:1]
     (root / "out" / "own.las").unlink()
-    with pytest.raises(
-        InputError, match=r"no \.las or \.laz .*out/classified: is the result of a run, left out"
-    ):
+    line = r"no \.las or \.laz .*out/classified: is the result of a run, left out"
+    with pytest.raises(InputError, match=line):
         find_inputs([str(root / "out")])
     assert found(notes, root, root / "out", results=True) == named, "as `evaluate` wants it"
 
@@ -188,10 +180,7 @@ def test_results_at_a_url(pattern: str, make_cloud: Any) -> None:
     data = make_cloud("a.laz", n=3).read_bytes()
     for name in ("a.laz", "out/classified/a.laz", "out/outdated/b.laz", "else/classified/c.laz"):
         cloud_path(f"{url}/{name}").write_bytes(data)
-    content = {name: {} for name in RUN_KEYS}
-    cloud_path(f"{url}/out/run.json").write_bytes(json.dumps(content).encode())
-    assert sorted(str(p).removeprefix(f"{url}/") for p in find_inputs([f"{url}{pattern}"])) == [
-        "a.laz",
-        "else/classified/c.laz",
-    ]
+    cloud_path(f"{url}/out/run.json").write_bytes(json.dumps(RUN).encode())
+    names = {str(path).removeprefix(f"{url}/") for path in find_inputs([f"{url}{pattern}"])}
+    assert names == {"a.laz", "else/classified/c.laz"}
     assert len(find_inputs([f"{url}/out/classified{pattern}"])) == 1

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import struct
 from fractions import Fraction
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import laspy
 import numpy as np
@@ -20,13 +21,11 @@ ORIGIN = (500_000_000, 5_400_000_000)
 
 
 def spool(store: Any, path: Any, source: int = 0, size: int = 10**6, **options: Any) -> list[dict[str, Any]]:
-    return [
-        spool_piece(
-            "memory",
-            SpoolPiece(str(path), source, f"s{source}p{k}", start, count, identity="of k", **options),
-        )
+    works = [
+        SpoolPiece(str(path), source, f"s{source}p{k}", start, count, identity="of k", **options)
         for k, (start, count) in enumerate(pieces(inspect(path), size))
     ]
+    return [spool_piece("memory", work) for work in works]
 
 
 def gathered(store: Any) -> PointBlock:
@@ -119,8 +118,6 @@ def test_read_is_stored_and_dropped_by_reason(make_cloud_once: Any, data: st.Dat
 
 @pytest.fixture(scope="module")
 def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    from _pytest.monkeypatch import MonkeyPatch
-
     header = laspy.LasHeader(point_format=1, version="1.2")
     header.scales, header.offsets = np.full(3, 0.01), np.array([500_000.0, 5_400_000.0, 0.0])
     cloud = laspy.LasData(header)
@@ -131,20 +128,14 @@ def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
     cloud.write(path)
 
     class Store:
-        def __init__(self) -> None:
-            self.pieces: dict[str, PointBlock] = {}
-            self.meta = Plain()
+        pieces: ClassVar[dict[str, PointBlock]] = {}
+        meta = SimpleNamespace(frame=CoordFrame(), bucket=Lattice(Fraction(50_000)), has_rgb=False)
 
         def write_piece(self, piece: str, block: PointBlock, index: Any) -> None:
             self.pieces[piece] = block
 
-    class Plain:
-        frame = CoordFrame()
-        bucket = Lattice(Fraction(50_000))
-        has_rgb = False
-
     store = Store()
-    with MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tiler.ingest.spool.open_store", lambda url: store)
         yield store, path, cloud
 
@@ -152,20 +143,10 @@ def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_a_piece_without_points_writes_nothing(make_cloud: Any, memory_store: Any) -> None:
     memory_store.meta.frame = CoordFrame(origin=ORIGIN)
     (record,) = spool(memory_store, make_cloud("a.las", n=10), wanted=[])
-    left = record.pop("left")
-    assert sum(n for _, _, n in left) == 10
-    assert record == {
-        "read": 10,
-        "stored": 0,
-        "outside": 0,
-        "dropped": {OUTSIDE_AREA: 10},
-        "largest_rounding": 0.0,
-        "buckets": [],
-        "bounds": None,
-        "z": None,
-        "identity": "of k",
-        "fetched": 0,
-    }
+    assert sum(n for _, _, n in record["left"]) == record["read"] == 10
+    assert (record["stored"], record["outside"], record["dropped"]) == (0, 0, {OUTSIDE_AREA: 10})
+    assert (record["buckets"], record["bounds"], record["z"]) == ([], None, None)
+    assert (record["identity"], record["fetched"], record["largest_rounding"]) == ("of k", 0, 0.0)
     assert memory_store.pieces == {}
 
 

@@ -34,9 +34,8 @@ def asked(tmp_path: Path) -> Callable[..., Access]:
     create_store(str(store), meta)
 
     def make(path: Path = cloud, size: int = 100, url: str = str(store), there: bool = True) -> Access:
-        return Access(
-            "tcp://s:1", [(str(path), replace(state_of(cloud), size=size))], url, str(tmp_path), there
-        )
+        source = (str(path), replace(state_of(cloud), size=size))
+        return Access("tcp://s:1", [source], url, str(tmp_path), there)
 
     return make
 
@@ -72,9 +71,8 @@ def test_other_versions(asked: Callable[..., Access]) -> None:
     def old(function: Callable[..., Any], *arguments: Any) -> Any:
         return {**cluster_check.versions(), "numpy": "1.0", "Python": "3.9"}
 
-    with pytest.raises(
-        ConfigError, match=r"worker tcp://w:2 has Python 3.9, here .*; numpy 1.0, here .*; install the same"
-    ):
+    line = r"worker tcp://w:2 has Python 3.9, here .*; numpy 1.0, here .*; install the same"
+    with pytest.raises(ConfigError, match=line):
         asked()(old, "tcp://w:2")
 
 
@@ -82,25 +80,18 @@ def test_a_worker_without_tiler(asked: Callable[..., Access]) -> None:
     def bare(function: Callable[..., Any], *arguments: Any) -> Any:
         raise ModuleNotFoundError("No module named 'tiler'")
 
-    with pytest.raises(
-        ConfigError, match=r"worker tcp://w:2 cannot do as tiler .*No module named 'tiler'.*install it there"
-    ):
+    line = r"worker tcp://w:2 cannot do as tiler .*No module named 'tiler'.*install it there"
+    with pytest.raises(ConfigError, match=line):
         asked()(bare, "tcp://w:2")
 
 
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        (
-            {"path": Path("/nowhere/cloud.laz")},
-            r"cannot read /nowhere/cloud.laz \(No such file.*inputs by URL",
-        ),
+        ({"path": Path("/nowhere/a.laz")}, r"cannot read /nowhere/a.laz \(No such file.*inputs by URL"),
         ({"size": 99}, r"cannot read .*cloud.laz \(100 bytes there, 99 here\)"),
         ({"url": "/nowhere/store.zarr"}, r"cannot use /nowhere/store.zarr \(.*--store by URL"),
-        (
-            {"url": "nosuch://bucket/store"},
-            r"cannot use nosuch://bucket/store .*see to the URL and to the credentials",
-        ),
+        ({"url": "nosuch://bucket"}, r"cannot use nosuch://bucket .*see to the URL and to the credentials"),
     ],
 )
 def test_a_worker_that_cannot_reach(asked: Callable[..., Access], changes: dict[str, Any], text: str) -> None:
@@ -128,8 +119,6 @@ def test_what_is_not_known_yet_is_not_looked_at(monkeypatch: pytest.MonkeyPatch)
 def test_machines_that_are_too_small() -> None:
     look = Access("tcp://s:1", [], None, None)
     look.refuse_small([Machine("a", 4 << 30, 2, 4), Machine("b", 1 << 30, 1, 1)], 1 << 30)
-    with pytest.raises(
-        ConfigError,
-        match=r"tcp://s:1: machine b has 4,096 MiB for 5 tasks at a time of up to 1,024 MiB; start fewer",
-    ):
+    line = r"tcp://s:1: machine b has 4,096 MiB for 5 tasks at a time of up to 1,024 MiB; start fewer"
+    with pytest.raises(ConfigError, match=line):
         look.refuse_small([Machine("a", 4 << 30, 2, 4), Machine("b", 4 << 30, 1, 5)], 1 << 30)

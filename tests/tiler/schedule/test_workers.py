@@ -46,10 +46,8 @@ def run(executor: Executor, tasks: list[Task], folder: Path) -> tuple[dict[int, 
 
 def tries(folder: Path, value: int) -> list[str]:
     """Processes that worked on a task, in order."""
-    names = sorted(
-        (p.name for p in (folder / f"tries-{value}").iterdir()), key=lambda n: int(n.split("-")[1])
-    )
-    return [name.split("-")[0] for name in names]
+    names = [path.name.split("-") for path in (folder / f"tries-{value}").iterdir()]
+    return [process for process, _ in sorted(names, key=lambda name: int(name[1]))]
 
 
 def others(n: int) -> list[Task]:
@@ -61,10 +59,7 @@ def others(n: int) -> list[Task]:
     [
         ("leave", "killed its worker 3 times: it crashed (exit code 7)"),
         ("crash", "killed its worker 3 times: it crashed (SIGSEGV)"),
-        (
-            "kill",
-            "killed its worker 3 times: it was killed (SIGKILL), as a system does that runs out of memory",
-        ),
+        ("kill", "3 times: it was killed (SIGKILL), as a system does that runs out of memory"),
         ("allocate", "Unable to allocate 8.00 GiB"),
     ],
 )
