@@ -57,18 +57,8 @@ def run_files(folder: Path, number: int, workers: int, *options: str) -> dict[st
     """Seconds, and what the command's own process held at most."""
     make_files(folder / "in", number)
     out = folder / "out"
-    command = [
-        sys.executable,
-        "-m",
-        "cli.main",
-        "run",
-        str(folder / "in"),
-        "-o",
-        str(out),
-        "--workers",
-        str(workers),
-        *options,
-    ]
+    places = ["run", str(folder / "in"), "-o", str(out), "--workers", str(workers)]
+    command = [sys.executable, "-m", "cli.main", *places, *options]
     start = time.monotonic()
     with open(folder / "log.txt", "w", encoding="utf-8") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ})
@@ -77,9 +67,8 @@ def run_files(folder: Path, number: int, workers: int, *options: str) -> dict[st
             try:
                 memory, files = max(memory, look.memory_info().rss), max(files, look.num_fds())
                 cpu = look.cpu_times().user + look.cpu_times().system
-                workers_files = max(
-                    [workers_files, *(child.num_fds() for child in look.children(recursive=True))]
-                )
+                children = look.children(recursive=True)
+                workers_files = max([workers_files, *(child.num_fds() for child in children)])
             except psutil.Error:
                 pass
             time.sleep(PAUSE)
@@ -129,28 +118,20 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         side = int(np.ceil(np.sqrt(number)))
         west, south = (int(plan.meta.bucket.index_of(v)) for v in plan.extent.to_json()[:2])
         cells = [Cell(west + i % side, south + i // side) for i in range(number)]
-        plan = replace(plan, meta=replace(plan.meta, bucket=plan.meta.bucket), tile=Fraction(512))
+        plan = replace(plan, tile=Fraction(512))
         lattice = plan.meta.bucket
         if memory:
             tracemalloc.start()
-        records = {
-            c: {
-                "cell": [c.ix, c.iy],
-                "n": 100_000,
-                "n_candidates": 40_000,
-                "bounds": lattice.bounds(c).to_json(),
-            }
-            for c in cells
-        }
+        counts = {"n": 100_000, "n_candidates": 40_000}
+        records = {c: {"cell": [c.ix, c.iy], **counts, "bounds": lattice.bounds(c).to_json()} for c in cells}
         assembled = Assembled(records, {c: f"{i:032x}" for i, c in enumerate(cells)})
         store = create_store(str(Path(scratch) / "store.zarr"), plan.meta)
-        timed(
-            "allocate_and_publish",
-            lambda: (
-                store.allocate(dict.fromkeys(cells, 100_000)),
-                store.publish_index({c: BucketInfo(100_000, 40_000) for c in cells}),
-            ),
-        )
+
+        def publish() -> None:
+            store.allocate(dict.fromkeys(cells, 100_000))
+            store.publish_index({c: BucketInfo(100_000, 40_000) for c in cells})
+
+        timed("allocate_and_publish", publish)
         tasks = timed("filter_tasks", lambda: list(filter_tasks(plan, assembled, 0, {}, assembled.digests)))
         facts["tiles"] = len(tasks)
         labels = timed("label_digests", lambda: label_digests(assembled, {}))
@@ -164,9 +145,8 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
             for i in range(number // 20)
         }
         sources = [Source(plan.sources[0], i, f"{i:032x}") for i in range(number // 20)]
-        facts["sheets"] = len(
-            timed("tasks_sheets", lambda: list(cog_tasks(g, Inputs.of(sources, spooled), "x", scratch)))
-        )
+        inputs = Inputs.of(sources, spooled)
+        facts["sheets"] = len(timed("tasks_sheets", lambda: list(cog_tasks(g, inputs, "x", scratch))))
         timed("tasks_vrt", lambda: list(mosaic_tasks(g, "x", scratch)))
         if memory:
             return {"tables_and_tasks_mb": round(tracemalloc.get_traced_memory()[1] / 1e6)}

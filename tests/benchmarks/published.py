@@ -56,6 +56,7 @@ PER_SAMPLE = (
     }),
 )  # fmt: skip
 
+VAIHINGEN, COLOURED = "Vaihingen 11 and 32, image matching", "a coloured city, vegetation removed first"
 MEANS = (
     Mean("Axelsson, tuned per sample", "15 ISPRS samples", SITHOLE, None, None, 4.82, None),
     Mean("SMRF, tuned per sample", "15 ISPRS samples", "Pingel et al. 2013", None, None, 2.97, None),
@@ -63,21 +64,9 @@ MEANS = (
     Mean("Mongus and Zalik", "15 ISPRS samples", "Mongus and Zalik 2014", None, None, 2.74, None),
     Mean("PTD of the chen2023 paper", "15 ISPRS samples", CHEN, 23.12, 4.02, 16.34, None),
     Mean("chen2023 as its paper has it", "15 ISPRS samples", CHEN, 14.66, 6.76, 11.28, None),
-    Mean(
-        "PTD of the dong2018 paper", "Vaihingen 11 and 32, image matching", DONG18, 11.81, 7.97, 10.34, None
-    ),
-    Mean(
-        "dong2018 as its paper has it", "Vaihingen 11 and 32, image matching", DONG18, 4.28, 9.46, 6.26, None
-    ),
-    Mean(
-        "dong2017 as its paper has it",
-        "a coloured city, vegetation removed first",
-        DONG17,
-        0.0,
-        2.39,
-        1.53,
-        None,
-    ),
+    Mean("PTD of the dong2018 paper", VAIHINGEN, DONG18, 11.81, 7.97, 10.34, None),
+    Mean("dong2018 as its paper has it", VAIHINGEN, DONG18, 4.28, 9.46, 6.26, None),
+    Mean("dong2017 as its paper has it", COLOURED, DONG17, 0.0, 2.39, 1.53, None),
     Mean("PDAL 2.10 SMRF, default", "15 ISPRS samples", EARLIER, 2.33, 14.85, 5.14, 83.3),
     Mean("PDAL 2.10 SMRF, best one setting", "15 ISPRS samples", EARLIER, 2.84, 10.17, 4.23, 85.8),
     Mean("PDAL 2.10 PMF, best one setting", "15 ISPRS samples", EARLIER, 3.64, 13.57, 6.12, 80.2),

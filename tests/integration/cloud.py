@@ -62,9 +62,8 @@ class Cluster:
         self._processes: list[subprocess.Popen[bytes]] = []
 
     def __enter__(self) -> Cluster:
-        self._start(
-            "dask.__main__", "scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"
-        )
+        options = f"--host 127.0.0.1 --port {self.port} --no-dashboard".split()
+        self._start("dask.__main__", "scheduler", *options)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -79,20 +78,14 @@ class Cluster:
 
     def worker(self, **variables: str) -> subprocess.Popen[bytes]:
         """One more worker, without a nanny: what kills it is the loss of a machine."""
-        return self._start(
-            "dask.__main__",
-            "worker",
-            self.address,
-            "--nthreads",
-            "1",
-            "--memory-limit",
-            "0",
-            "--no-dashboard",
-            "--no-nanny",
-            "--local-directory",
-            str(self.folder),
-            **variables,
-        )
+        options = f"{self.address} --nthreads 1 --memory-limit 0 --no-dashboard --no-nanny --local-directory"
+        return self._start("dask.__main__", "worker", *options.split(), str(self.folder), **variables)
+
+    def workers(self, number: int) -> list[subprocess.Popen[bytes]]:
+        """The first workers, once the scheduler knows them."""
+        found = [self.worker() for _ in range(number)]
+        self.wait_for(number)
+        return found
 
     def wait_for(self, workers: int) -> None:
         from distributed import Client

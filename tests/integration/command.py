@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT_SECONDS = 900.0
@@ -22,16 +24,21 @@ def command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "cli.main", *(str(a) for a in arguments)]
 
 
+def ended(call: Sequence[object], **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end, whatever its code."""
+    usual = {"env": environment(), "timeout": TIMEOUT_SECONDS, "check": False}
+    return subprocess.run([*map(str, call)], capture_output=True, text=True, **{**usual, **options})
+
+
+def started(call: Sequence[object], **options: Any) -> subprocess.Popen[str]:
+    """Start a program whose streams are pipes."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment()}
+    return subprocess.Popen([*map(str, call)], **{**pipes, **options})
+
+
 def tiler(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
-    return subprocess.run(
-        command(*arguments),
-        capture_output=True,
-        text=True,
-        env=environment(),
-        check=False,
-        timeout=TIMEOUT_SECONDS,
-    )
+    """Run a command of ours to its end."""
+    return ended(command(*arguments))
 
 
 def assert_one_line(error: str, *parts: str) -> None:

@@ -1,16 +1,26 @@
-"""A small simulated city in four files, and a finished run on it."""
+"""A small cloud; a simulated city in four files, and finished runs on it; an object store."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.integration.cloud import BUCKET, object_store
+from tests.invariants import clouds
 from tests.invariants.runs import settings
 from tiler.pipeline import RunResult, run
 from tiler.simulate import AlsSensor, DemoScene, demo_city
 
 SIDE_M = 200.0
+
+
+@pytest.fixture
+def cloud(tmp_path: Path) -> Path:
+    """A file of 60 m of a city; modules that run often on one have their own."""
+    return clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
 
 
 @pytest.fixture(scope="session")
@@ -35,3 +45,18 @@ def default_run(demo: DemoScene, tmp_path_factory: pytest.TempPathFactory) -> tu
     """The same with the default method."""
     out = tmp_path_factory.mktemp("default") / "out"
     return out, run([str(path) for path in demo.paths], out, settings(tile_size="128", method="auto"))
+
+
+@pytest.fixture(scope="module")
+def bucket() -> Iterator[Any]:
+    """The file system of an S3 server whose variables are those of this process."""
+    pytest.importorskip("moto.server", reason="no S3 server: moto is not installed")
+    pytest.importorskip("upath")
+    s3fs = pytest.importorskip("s3fs")
+    with object_store() as variables, pytest.MonkeyPatch.context() as patch:
+        for name, value in variables.items():
+            patch.setenv(name, value)
+        system = s3fs.S3FileSystem(use_listings_cache=False)
+        system.mkdir(BUCKET)
+        yield system
+        s3fs.S3FileSystem.clear_instance_cache()

@@ -29,20 +29,8 @@ def endless_geopackage(path: Path, kind: str = "POLYGON") -> Path:
 
 def huge_raster(path: Path) -> Path:
     """Four megabytes that says it is a raster of 10^12 pixels: it would be read for hours."""
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=1_000_000,
-        height=1_000_000,
-        count=1,
-        dtype="uint8",
-        nodata=0,
-        tiled=True,
-        blockxsize=2048,
-        blockysize=2048,
-        SPARSE_OK=True,
-        BIGTIFF="YES",
-        transform=Affine(1, 0, 5e5, 0, -1, 5.4e6),
-    ):
+    size = {"width": 1_000_000, "height": 1_000_000, "transform": Affine(1, 0, 5e5, 0, -1, 5.4e6)}
+    values = {"count": 1, "dtype": "uint8", "nodata": 0, "SPARSE_OK": True, "BIGTIFF": "YES"}
+    blocks = {"tiled": True, "blockxsize": 2048, "blockysize": 2048}
+    with rasterio.open(path, "w", driver="GTiff", **size, **values, **blocks):
         return path

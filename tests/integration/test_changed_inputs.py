@@ -16,8 +16,6 @@ from tests.invariants import clouds
 from tests.invariants.runs import do, settings
 from tiler.apps import classify
 from tiler.errors import InputError
-from tiler.export import write_classified
-from tiler.ingest import spool_piece
 from tiler.io.las.reader import PointReader
 from tiler.stages import file_tasks, fingerprints, ingest_tasks
 
@@ -59,13 +57,20 @@ def in_place(old: Path, new: Path) -> None:
     shutil.copyfile(new, old)
 
 
+def change_before(
+    patch: pytest.MonkeyPatch, module: Any, name: str, change: Callable[..., object], *paths: Path
+) -> None:
+    """Let something happen to files before the work of this name is done for the first time."""
+    changed = before_the_first(getattr(module, name), functools.partial(change, *paths))
+    patch.setattr(module, name, changed)
+
+
 @pytest.mark.parametrize("how", [by_name, in_place])
 def test_replaced_before_it_is_decoded(
     files: tuple[Path, Path, Path], how: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     good, path, other = files
-    work = before_the_first(spool_piece, lambda: how(path, other))
-    monkeypatch.setattr(ingest_tasks, "spool_piece", work)
+    change_before(monkeypatch, ingest_tasks, "spool_piece", how, path, other)
     result = do([good, path], tmp_path / "out")
     assert result.exit_code == 5
     (left_out,) = result.summary["quarantined"]
@@ -85,8 +90,7 @@ def test_replaced_before_its_classes_are_written(
     files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     good, path, other = files
-    work = before_the_first(write_classified, lambda: in_place(path, other))
-    monkeypatch.setattr(file_tasks, "write_classified", work)
+    change_before(monkeypatch, file_tasks, "write_classified", in_place, path, other)
     result = do([good, path], tmp_path / "out")
     assert result.exit_code == 5
     (failed,) = result.summary["failed_tasks"]
@@ -112,14 +116,16 @@ def while_it_is_read(work: Work, old: Path, new: Path, monkeypatch: pytest.Monke
     return changed
 
 
-@pytest.mark.parametrize("name", ["spool_piece", "write_classified"])
+@pytest.mark.parametrize(
+    ("stage", "name"),
+    [(ingest_tasks, "spool_piece"), (file_tasks, "write_classified")],
+    ids=["spool", "write"],
+)
 def test_replaced_while_it_is_read(
-    name: str, files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stage: Any, name: str, files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     good, path, other = files
-    work = {"spool_piece": spool_piece, "write_classified": write_classified}[name]
-    stage = {"spool_piece": ingest_tasks, "write_classified": file_tasks}[name]
-    monkeypatch.setattr(stage, name, while_it_is_read(work, path, other, monkeypatch))
+    monkeypatch.setattr(stage, name, while_it_is_read(getattr(stage, name), path, other, monkeypatch))
     result = do([good, path], tmp_path / "out")
     assert result.exit_code == 5
     told = [*result.summary["quarantined"], *result.summary["failed_tasks"]]
@@ -131,8 +137,7 @@ def test_replaced_while_its_digest_is_made(
     files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     good, path, other = files
-    work = before_the_first(fingerprints.read_files, lambda: by_name(path, other))
-    monkeypatch.setattr(fingerprints, "read_files", work)
+    change_before(monkeypatch, fingerprints, "read_files", by_name, path, other)
     result = do([good, path], tmp_path / "out")
     assert [q["path"] for q in result.summary["quarantined"]] == [str(path)]
     assert result.exit_code == 5
@@ -141,10 +146,9 @@ def test_replaced_while_its_digest_is_made(
 def test_the_only_input_went_away(
     files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ingest_tasks, "spool_piece", before_the_first(spool_piece, files[1].unlink))
-    with pytest.raises(
-        InputError, match=r"east\.las: left out: went away while the run went on \(No such file"
-    ):
+    change_before(monkeypatch, ingest_tasks, "spool_piece", Path.unlink, files[1])
+    line = r"east\.las: left out: went away while the run went on \(No such file"
+    with pytest.raises(InputError, match=line):
         do(files[1], tmp_path / "out")
 
 
@@ -156,9 +160,7 @@ def test_a_piece_that_is_decoded_again_is_of_the_same_file(
     out = tmp_path / "out"
     do([good, path], out)
     shutil.rmtree(out / "store.zarr" / "spool")
-    monkeypatch.setattr(
-        ingest_tasks, "spool_piece", before_the_first(spool_piece, lambda: by_name(path, other))
-    )
+    change_before(monkeypatch, ingest_tasks, "spool_piece", by_name, path, other)
     result = do([good, path], out, keep_classes="7")
     assert result.exit_code == 5
     assert [q["path"] for q in result.summary["quarantined"]] == [str(path)]
@@ -170,16 +172,11 @@ def test_an_empty_file_and_one_that_went_away(
     """What is left holds no point: no input could be read, though one of them could."""
     path = files[1]
     empty = clouds.write(tmp_path / "in" / "empty.las", clouds.city(96.0).take(np.zeros(0, np.intp)))
-    for name, module, work in (
-        ("read_files", fingerprints, fingerprints.read_files),
-        ("spool_piece", ingest_tasks, spool_piece),
-    ):
-        aside = tmp_path / "aside.las"
+    aside, line = tmp_path / "aside.las", r"^no input could be read; the first: .*east\.las: .*went away"
+    for module, name in ((fingerprints, "read_files"), (ingest_tasks, "spool_piece")):
         with monkeypatch.context() as patch:
-            patch.setattr(module, name, before_the_first(work, functools.partial(path.rename, aside)))
-            with pytest.raises(
-                InputError, match=r"^no input could be read; the first: .*east\.las: .*went away"
-            ):
+            change_before(patch, module, name, Path.rename, path, aside)
+            with pytest.raises(InputError, match=line):
                 do([empty, path], tmp_path / name)
         aside.rename(path)
 
@@ -188,9 +185,7 @@ def test_classify_writes_no_classes_of_another_file(
     files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, path, other = files
-    monkeypatch.setattr(
-        classify, "write_classified", before_the_first(write_classified, lambda: in_place(path, other))
-    )
+    change_before(monkeypatch, classify, "write_classified", in_place, path, other)
     with pytest.raises(InputError, match=rf"east\.las: {CHANGED}"):
         classify.classify_file(path, tmp_path / "out.laz", settings())
     assert not (tmp_path / "out.laz").exists()

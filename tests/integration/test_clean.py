@@ -13,6 +13,9 @@ from tiler.apps.clean import clean
 from tiler.errors import ConfigError, LockedError, StoreError
 from tiler.store import locked_folder
 
+MINE = """download.laz.partial a.partial.zip notes/.tiler-a.laz.partial classified/b.laz.partial store.zarr/x.partial
+store.zarr/spool/notes.txt linked/.tiler-c.partial .tiler-notes"""
+
 
 def test_a_clean_store_is_smaller_and_everything_in_it_is_done(tmp_path: Path) -> None:
     out, fresh = tmp_path / "out", tmp_path / "fresh"
@@ -21,10 +24,7 @@ def test_a_clean_store_is_smaller_and_everything_in_it_is_done(tmp_path: Path) -
     east = clouds.write(tmp_path / "east.laz", clouds.Cloud(moved.xyz + [90.0, 0, 0], moved.truth))
     do([west], out)
     before, size = output_digests(out), the_store(out).usage().size_bytes
-    left = [
-        out / "store.zarr" / "points" / "xyz" / f"0.{32 * 'a'}.partial",
-        out / ".tiler-dtm.tif.cog.partial",
-    ]
+    left = [out / f"store.zarr/points/xyz/0.{32 * 'a'}.partial", out / ".tiler-dtm.tif.cog.partial"]
     for path in left:
         path.write_bytes(b"scratch")
 
@@ -65,16 +65,7 @@ def test_files_of_others_stay_whatever_their_names(tmp_path: Path) -> None:
     do([clouds.write(tmp_path / "in" / "a.laz", clouds.city(64.0))], out)
     elsewhere.mkdir()
     (out / "linked").symlink_to(elsewhere)
-    mine = [
-        "download.laz.partial",
-        "a.partial.zip",
-        "notes/.tiler-a.laz.partial",
-        "classified/b.laz.partial",
-        "store.zarr/x.partial",
-        "store.zarr/spool/notes.txt",
-        "linked/.tiler-c.partial",
-        ".tiler-notes",
-    ]
+    mine = MINE.split()
     for name in mine:
         (out / name).parent.mkdir(exist_ok=True)
         (out / name).write_bytes(b"mine")

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from tests.integration.cloud import BUCKET, Cable, Cluster, blind, object_store
-from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, environment, tiler
+from tests.integration.cloud import BUCKET, Cable, Cluster, blind
+from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, environment, started, tiler
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
 from tests.scenes.running import wait_for
@@ -36,19 +36,10 @@ def local(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def bucket(cloud: Path) -> Iterator[Any]:
-    """The file system of an S3 server that holds the cloud; its variables are those of this process."""
-    pytest.importorskip("moto.server", reason="no S3 server: moto is not installed")
-    pytest.importorskip("upath")
-    s3fs = pytest.importorskip("s3fs")
-    with object_store() as variables, pytest.MonkeyPatch.context() as patch:
-        for name, value in variables.items():
-            patch.setenv(name, value)
-        system = s3fs.S3FileSystem()
-        system.mkdir(BUCKET)
-        system.put_file(str(cloud), f"{BUCKET}/clouds/city.laz")
-        yield system
-        s3fs.S3FileSystem.clear_instance_cache()
+def bucket(bucket: Any, cloud: Path) -> Any:
+    """One that holds the cloud."""
+    bucket.put_file(str(cloud), f"{BUCKET}/clouds/city.laz")
+    return bucket
 
 
 @pytest.fixture
@@ -58,13 +49,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 
 
 def start(*arguments: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        command("run", *arguments, *OPTIONS),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment(),
-    )
+    return started(command("run", *arguments, *OPTIONS))
 
 
 def ended(process: subprocess.Popen[str]) -> str:
@@ -78,9 +63,7 @@ def test_a_worker_is_lost_and_one_joins(
     bucket: Any, cluster: Cluster, cloud: Path, local: Path, tmp_path: Path
 ) -> None:
     """Workers share nothing with the client but the object store; the bytes are those of one process."""
-    first = cluster.worker()
-    cluster.worker()
-    cluster.wait_for(2)
+    first, _ = cluster.workers(2)
     out = tmp_path / "out"
     store = f"s3://{BUCKET}/killed"
     process = start(f"s3://{BUCKET}/clouds", "-o", out, "--store", store, "--scheduler", cluster.address)
@@ -95,17 +78,11 @@ def test_a_worker_is_lost_and_one_joins(
 def test_everything_by_url(
     bucket: Any, cluster: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cluster.worker()
-    cluster.worker()
-    cluster.wait_for(2)
+    cluster.workers(2)
     monkeypatch.chdir(tmp_path)
     arguments = (f"s3://{BUCKET}/clouds/*.laz", "-o", f"s3://{BUCKET}/town", "--scheduler", cluster.address)
     ended(start(*arguments, "--products", "dtm,slope"))
-    assert sorted(p.name for p in (tmp_path / "town").iterdir()) == [
-        "events.jsonl",
-        "report.html",
-        "run.json",
-    ]
+    assert {p.name for p in (tmp_path / "town").iterdir()} == {"events.jsonl", "report.html", "run.json"}
     bucket.get(f"{BUCKET}/town/dtm.tif", str(tmp_path / "copy/dtm.tif"))
     bucket.get(f"{BUCKET}/town/classified/", str(tmp_path / "copy/classified/"), recursive=True)
     assert output_digests(tmp_path / "copy") == output_digests(local)
@@ -113,10 +90,8 @@ def test_everything_by_url(
     assert (tmp_path / "town/report.html").read_text().count("data:image/png;base64,") == 2
     bucket.rm_file(f"{BUCKET}/town/dtm.tif")
     again = json.loads(tiler("run", *arguments, *OPTIONS, "--json").stdout)["stages"]
-    assert {name: stage["computed"] for name, stage in again.items() if stage["computed"]} == {
-        "export": 1,
-        "catalogue": 1,
-    }
+    done = {name: stage["computed"] for name, stage in again.items() if stage["computed"]}
+    assert done == {"export": 1, "catalogue": 1}
     ended(start(*arguments, "--sheets", "100"))
     sheets = json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["outputs"]
     assert sum(name.startswith("dtm/dtm_") for name in sheets) == 4  # CRS 0 is a corner
@@ -129,20 +104,13 @@ def test_everything_by_url(
     monkeypatch.chdir(tmp_path / "elsewhere")  # what runs from here wrote stands in the run.json of the URL
     ended(start(*arguments))
     assert len(bucket.ls(f"{BUCKET}/town/outdated/dtm")) == 4
-    assert json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["outputs"].keys() == {
-        "dtm.tif",
-        "classified/city.laz",
-        "outline.gpkg",
-        "classified.vpc",
-        "stac.json",
-    }
+    found = json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["outputs"]
+    assert set(found) == {"dtm.tif", "classified/city.laz", "outline.gpkg", "classified.vpc", "stac.json"}
 
 
 def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_path: Path) -> None:
     """It is taken up again; a scheduler that is gone ends the run, which goes on without it."""
-    cluster.worker()
-    cluster.worker()
-    cluster.wait_for(2)
+    cluster.workers(2)
     cable, out = Cable(cluster.port), tmp_path / "out"
     cable.start()
     process = start(cloud, "-o", out, "--scheduler", cable.address)
@@ -165,8 +133,7 @@ def test_workers_that_see_no_folder_of_the_client(
     bucket: Any, cluster: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The command writes the files itself."""
-    cluster.worker()
-    cluster.wait_for(1)
+    cluster.workers(1)
     monkeypatch.setattr("tiler.runs.cluster_check.sees", blind)
     out = tmp_path / "out"
     changes = {"store": f"s3://{BUCKET}/blind", "scheduler": cluster.address, "in_process": False}
@@ -177,9 +144,7 @@ def test_workers_that_see_no_folder_of_the_client(
 
 def test_the_plan_looks_at_the_workers(bucket: Any, cluster: Cluster, cloud: Path, tmp_path: Path) -> None:
     """How many there are and what they have, also before there is a store; nothing is left behind."""
-    cluster.worker()
-    cluster.worker()
-    cluster.wait_for(2)
+    cluster.workers(2)
     inputs, store = f"s3://{BUCKET}/clouds", f"s3://{BUCKET}/planned"
     options = ("--scheduler", cluster.address, *OPTIONS)
     done = tiler("plan", inputs, "-o", tmp_path / "out", "--store", store, *options, "--json")
@@ -222,18 +187,7 @@ def test_workers_without_credentials(bucket: Any, cluster: Cluster, tmp_path: Pa
     """One line, before the first task."""
     cluster.worker(AWS_ACCESS_KEY_ID="", AWS_SECRET_ACCESS_KEY="", AWS_EC2_METADATA_DISABLED="true")
     cluster.wait_for(1)
-    store = f"s3://{BUCKET}/denied"
-    done = tiler(
-        "run",
-        f"s3://{BUCKET}/clouds",
-        "-o",
-        tmp_path / "out",
-        "--store",
-        store,
-        "--scheduler",
-        cluster.address,
-        *OPTIONS,
-        "-q",
-    )
+    places = (f"s3://{BUCKET}/clouds", "-o", tmp_path / "out", "--store", f"s3://{BUCKET}/denied")
+    done = tiler("run", *places, "--scheduler", cluster.address, *OPTIONS, "-q")
     assert done.returncode == 2
     assert_one_line(done.stderr.splitlines()[-1], "cannot read s3://", "credentials that the workers have")

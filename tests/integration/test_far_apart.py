@@ -112,15 +112,12 @@ def test_two_sites_400_km_apart(in_one_file: bool, tmp_path: Path) -> None:
     one, two = site(tmp_path / "1.las", 500_000, 5_000_000), site(tmp_path / "2.las", 900_000, 5_400_000)
     inputs = [one, two]
     if in_one_file:
-        inputs = [
-            write_points(tmp_path / "12.las", np.concatenate([laspy.read(p).xyz.T for p in inputs], axis=1))
-        ]
+        points = np.concatenate([laspy.read(path).xyz.T for path in inputs], axis=1)
+        inputs = [write_points(tmp_path / "12.las", points)]
     result = do(inputs, tmp_path / "out", sheets="50", **KEEP)
     assert result.exit_code == 0
-    assert {p.name for p in (tmp_path / "out" / "dtm").iterdir()} == {
-        "dtm_500000_5000000.tif",
-        "dtm_900000_5400000.tif",
-    }
+    names = {path.name for path in (tmp_path / "out" / "dtm").iterdir()}
+    assert names == {"dtm_500000_5000000.tif", "dtm_900000_5400000.tif"}
     assert result.summary["plan"]["projected_disk_bytes"] < 50e6
     assert (tmp_path / "out" / "report.html").exists()
     vrt = tmp_path / "out" / "dtm.vrt"  # whoever reads it does not look at what lies between
@@ -164,13 +161,16 @@ def test_one_more_input_makes_the_sheets_that_it_touches(tmp_path: Path) -> None
     first = [site(tmp_path / f"{i}.las", west + 1000 * i, south + 1000 * i) for i in (0, 2)]
     how = {**KEEP, "sheets": "50", "max_edge": "20"}
     do(first, tmp_path / "out", **how)
-    tags = {p.name: rasterio.open(p).tags()["TILER_INPUTS"] for p in (tmp_path / "out" / "dtm").iterdir()}
-    assert len(set(tags.values())) == 2
+
+    def tags() -> dict[str, str]:
+        return {p.name: rasterio.open(p).tags()["TILER_INPUTS"] for p in (tmp_path / "out/dtm").iterdir()}
+
+    before = tags()
+    assert len(set(before.values())) == 2
     result = do([*first, site(tmp_path / "1.las", west + 1000, south + 1000)], tmp_path / "out", **how)
     assert result.summary["stages"]["export"]["tasks"] == 4  # the outline, too
     assert result.summary["stages"]["export"]["computed"] == 2
-    after = {p.name: rasterio.open(p).tags()["TILER_INPUTS"] for p in (tmp_path / "out" / "dtm").iterdir()}
-    assert after.items() > tags.items()
+    assert tags().items() > before.items()
 
 
 def test_blocks_of_an_earlier_run_are_removed_by_tasks(
@@ -179,11 +179,10 @@ def test_blocks_of_an_earlier_run_are_removed_by_tasks(
     """Where a wider limit filled pixels between two sites, a narrower one leaves nothing."""
     west, south = 500_000, 5_000_000
     inputs = [site(tmp_path / f"{i}.las", west + 1500 * i, south) for i in (0, 1)]
-    how = {**KEEP, "resolution": "1"}
-    do(inputs, tmp_path / "out", **{**how, "max_edge": "2500"})
+    do(inputs, tmp_path / "out", **KEEP, max_edge="2500")
     monkeypatch.setattr(TileStore, "write_block", not_by_the_command(TileStore.write_block))
-    do(inputs, tmp_path / "out", **how)
-    do(inputs, tmp_path / "alone", **how)
+    do(inputs, tmp_path / "out", **KEEP)
+    do(inputs, tmp_path / "alone", **KEEP)
     filled = [dtm(tmp_path / name)[0] != -9999 for name in ("out", "alone")]
     assert (filled[0] == filled[1]).all()
     kept, alone = (the_store(tmp_path / name).stored_blocks("dtm") for name in ("out", "alone"))

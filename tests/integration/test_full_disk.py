@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 
 from tests.invariants import clouds
-from tests.invariants.runs import all_digests, do, output_digests, settings
+from tests.invariants.runs import EVERY_STAGE, WITH_EVERY_STAGE, all_digests, do, output_digests, settings
 from tiler.errors import ConfigError, DiskFullError
 from tiler.observe.eventlog import EventLog
 from tiler.pipeline import run
 
-SHARES = (0.02, 0.1, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+SHARES = (0.02, 0.4, 0.6, 0.95)
 """Of the room that the whole job takes."""
 
 
@@ -30,6 +30,13 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def whole(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("whole") / "out"
     do(cloud, out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def whole_of_every_stage(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("every") / "out"
+    do(cloud, out, **WITH_EVERY_STAGE)
     return out
 
 
@@ -66,9 +73,8 @@ def room(folder: Path) -> int:
 def test_a_disk_that_fills_up(
     share: float, cloud: Path, whole: Path, disk: SmallDisk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        "tiler.plan.disk.projected_disk", lambda plan: {"store": 0}
-    )  # else the plan would refuse
+    # Else the plan would refuse.
+    monkeypatch.setattr("tiler.plan.disk.projected_disk", lambda plan: {"store": 0})
     disk.has(int(room(whole) * share))
     out = disk.folder / "out"
     with pytest.raises(DiskFullError, match="the disk is full; free some and run again") as caught:
@@ -87,31 +93,13 @@ def test_a_disk_that_fills_up(
     assert output_digests(out) == expected
 
 
-STAGES = (
-    "identify",
-    "spool",
-    "assemble",
-    "filter0",
-    "grid-dtm",
-    "grid-slope",
-    "grid-survey",
-    "grid-dtm-outlined",
-    "grid-mask",
-    "export",
-    "mosaic",
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("stage", STAGES)
-@pytest.mark.parametrize("left", [0, 8192])
+@pytest.mark.parametrize("number", range(len(EVERY_STAGE)))
 def test_a_disk_that_is_full_when_a_stage_begins(
-    stage: str, left: int, cloud: Path, disk: SmallDisk, tmp_path: Path
+    number: int, cloud: Path, whole_of_every_stage: Path, disk: SmallDisk
 ) -> None:
     """Nothing is left on the disk at that moment, or two pages."""
-    changes = {"products": "dtm,slope,mask", "voids": "fill", "sheets": "64"}
-    whole, out = tmp_path / "whole", disk.folder / "out"
-    do(cloud, whole, **changes)
+    stage, left, out = EVERY_STAGE[number], 8192 * (number % 2), disk.folder / "out"
     disk.has(256 << 20)
 
     def fill(event: str, fields: dict[str, Any]) -> None:
@@ -120,14 +108,14 @@ def test_a_disk_that_is_full_when_a_stage_begins(
             disk.has(used + left, again=True)
 
     with pytest.raises(DiskFullError, match="the disk is full; free some and run again") as caught:
-        run([str(cloud)], out, settings(**changes), fill)
+        run([str(cloud)], out, settings(**WITH_EVERY_STAGE), fill)
     assert "\n" not in str(caught.value)
     assert not [path for path in out.rglob("*.partial*") if "store.zarr" not in path.parts]
-    expected = all_digests(whole)
+    expected = all_digests(whole_of_every_stage)
     assert all_digests(out).items() <= expected.items()
     json.loads((out / "run.json").read_text())
     disk.has(256 << 20, again=True)
-    assert do(cloud, out, **changes).exit_code == 0
+    assert do(cloud, out, **WITH_EVERY_STAGE).exit_code == 0
     assert all_digests(out) == expected
 
 

@@ -11,13 +11,11 @@ from pathlib import Path
 import pytest
 
 from tests.integration.cloud import Cluster
-from tests.integration.command import ROOT, TIMEOUT_SECONDS
+from tests.integration.command import ROOT, ended
 from tests.invariants import clouds
 
-MODULES = (
-    "laspy", "lazrs", "random", "numpy", "tiler", "ptd", "cli", "json", "pickle", "queue", "typing", "zarr", "dask",
-    "distributed", "sitecustomize", "usercustomize",
-)  # fmt: skip
+MODULES = """laspy lazrs random numpy tiler ptd cli json pickle queue typing zarr dask distributed
+sitecustomize usercustomize"""
 
 
 @pytest.fixture
@@ -26,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
     folder = tmp_path / "delivery"
     folder.mkdir()
     clouds.write(folder / "town.laz", clouds.city(60.0))
-    for name in MODULES:
+    for name in MODULES.split():
         (folder / f"{name}.py").write_text(f"open({str(tmp_path / f'{name}.imported')!r}, 'w').close()\n")
     return folder
 
@@ -37,15 +35,8 @@ def imported(folder: Path) -> list[str]:
 
 def tiler(folder: Path, *arguments: object, path: str = str(ROOT)) -> subprocess.CompletedProcess[str]:
     """A command from there, as the installed script starts it: without the current folder in its path."""
-    return subprocess.run(
-        [sys.executable, "-P", "-m", "cli.main", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": path},
-        timeout=TIMEOUT_SECONDS,
-    )
+    call = [sys.executable, "-P", "-m", "cli.main", *arguments]
+    return ended(call, cwd=folder, env={**os.environ, "PYTHONPATH": path})
 
 
 @pytest.mark.slow
@@ -62,14 +53,8 @@ def test_no_command_imports_what_lies_beside_the_clouds(folder: Path) -> None:
 
 def test_an_empty_entry_of_pythonpath_is_not_taken_over(folder: Path) -> None:
     """What many shells make of `export PYTHONPATH=$PYTHONPATH:/opt/modules`: the interpreter itself then looks here."""
-    for name in (
-        "sitecustomize",
-        "usercustomize",
-        "typing",
-        "tiler",
-        "cli",
-    ):  # imported before any line of ours
-        (folder / f"{name}.py").unlink()
+    for name in ("sitecustomize", "usercustomize", "typing", "tiler", "cli"):
+        (folder / f"{name}.py").unlink()  # imported before any line of ours
     done = tiler(folder, "info", "town.laz", path=f":{ROOT}")
     assert done.returncode == 0, done.stderr
     assert imported(folder) == []
@@ -78,23 +63,15 @@ def test_an_empty_entry_of_pythonpath_is_not_taken_over(folder: Path) -> None:
 def test_settings_of_the_compiler_that_lie_there_are_not_read(folder: Path) -> None:
     (folder / ".numba_config.yaml").write_text("disable_jit: 1\n")
     code = "from ptd import kernel; print(kernel.config.DISABLE_JIT)"
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
-    assert done.stdout == "0\n"
+    done = ended([sys.executable, "-P", "-c", code], cwd=folder)
+    assert (done.returncode, done.stdout) == (0, "0\n")
 
 
 @pytest.mark.slow
 def test_workers_of_a_cluster_do_not_either(folder: Path) -> None:
     """Workers that are started as `docs/cluster.md` says."""
     with Cluster(folder, {"PYTHONSAFEPATH": "1"}) as cluster:
-        cluster.worker()
-        cluster.wait_for(1)
+        cluster.workers(1)
         options = ("--method", "classic", "--resolution", 1, "--scheduler", cluster.address)
         done = tiler(folder, "run", folder / "town.laz", "-o", folder / "out", *options)
         assert done.returncode == 0, done.stderr

@@ -15,6 +15,8 @@ from tests.invariants.runs import do
 from tests.scenes.folders import content
 from tiler.errors import ConfigError
 
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
 
 @pytest.fixture
 def cloud(tmp_path: Path) -> Path:
@@ -101,21 +103,18 @@ def test_preview_and_classify(cloud: Path, tmp_path: Path, capsys: pytest.Captur
 
 def raster(path: Path) -> Path:
     path.parent.mkdir(exist_ok=True)
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        height=4,
-        width=4,
-        count=1,
-        dtype="float32",
-        transform=Affine(1, 0, 0, 0, -1, 4),
-    ) as target:
+    profile = {
+        "height": 4,
+        "width": 4,
+        "count": 1,
+        "dtype": "float32",
+        "transform": Affine(1, 0, 0, 0, -1, 4),
+    }
+    with rasterio.open(path, "w", driver="GTiff", **profile) as target:
         target.write(np.ones((1, 4, 4), np.float32))
     return path
 
 
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_evaluate_and_check(cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     true, mine = raster(tmp_path / "true.tif"), raster(tmp_path / "hill.tif")
     vrt = tmp_path / "mine.vrt"
@@ -139,7 +138,6 @@ def test_evaluate_and_check(cloud: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert content(tmp_path).items() >= before.items()
 
 
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_what_commands_name_themselves_replaces_no_other_file(
     cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,7 +171,6 @@ def test_a_demo_replaces_nothing(name: str, tmp_path: Path, capsys: pytest.Captu
     assert [p.read_text() for p in tmp_path.rglob("*") if p.is_file()] == ["mine"]
 
 
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_a_difference_takes_no_file_beside_it_along(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

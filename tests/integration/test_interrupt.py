@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from ptd.precompile import warm_filters, warm_gridding
-from tests.integration.command import TIMEOUT_SECONDS, command, environment
+from tests.integration.command import command, started
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests, the_store
 from tests.scenes.running import wait_for
@@ -43,22 +43,15 @@ Start = Callable[[Path, Path], subprocess.Popen[str]]
 @pytest.fixture
 def start(interruptible: None) -> Iterator[Start]:
     """The command at the head of a process group of its own, as a shell starts it; what a test leaves is ended."""
-    started: list[subprocess.Popen[str]] = []
+    processes: list[subprocess.Popen[str]] = []
 
     def begin(cloud: Path, out: Path) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            command("run", cloud, "-o", out, *OPTIONS.split()),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=environment(),
-            start_new_session=True,
-        )
-        started.append(process)
-        return process
+        call = command("run", cloud, "-o", out, *OPTIONS.split())
+        processes.append(started(call, start_new_session=True))
+        return processes[-1]
 
     yield begin
-    for process in started:
+    for process in processes:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
@@ -80,10 +73,9 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
     interrupt: signal.Signals, start: Start, cloud: Path, undisturbed: dict[str, str], tmp_path: Path
 ) -> None:
     """Either goes to every process: by the terminal to its group, by a batch system to all of a job."""
-    stage = "filter0"
     out = tmp_path / "out"
     process = start(cloud, out)
-    wait_for(out, "task_done", stage, process)
+    wait_for(out, "task_done", "filter0", process)
     group = psutil.Process(process.pid).children(recursive=True)
     assert len(group) >= 2
     os.killpg(process.pid, interrupt)
@@ -94,21 +86,15 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
     assert all_gone(group)
     assert json.loads((out / "run.json").read_text())["state"] == "interrupted"
     assert not list(out.rglob("*.partial*"))
-    goes_on_to_the_same(cloud, out, undisturbed)
-
-
-@pytest.mark.slow  # tests/invariants/test_kill.py does it by default, in one process
-def test_kill_of_the_whole_group(
-    start: Start, cloud: Path, undisturbed: dict[str, str], tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    process = start(cloud, out)
-    wait_for(out, "task_done", "filter0", process)
-    group = psutil.Process(process.pid).children(recursive=True)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.communicate(timeout=120)
-    assert all_gone(group)
-    goes_on_to_the_same(cloud, out, undisturbed)
+    # The job again, here: nothing that was finished is done once more, and the bytes are those of a run in peace.
+    store = the_store(out)
+    before = {stage: len(store.committed(stage)) for stage in STAGES}
+    assert before["filter0"]
+    stages = do(cloud, out).summary["stages"]
+    for stage in STAGES:
+        assert stages[stage]["done"] == before[stage]
+        assert stages[stage]["computed"] == stages[stage]["tasks"] - before[stage]
+    assert output_digests(out) == undisturbed
 
 
 def test_kill_of_the_command_alone_takes_its_workers_along(start: Start, cloud: Path, tmp_path: Path) -> None:
@@ -119,36 +105,3 @@ def test_kill_of_the_command_alone_takes_its_workers_along(start: Start, cloud: 
     process.kill()
     process.communicate(timeout=120)
     assert all_gone(group)
-
-
-@pytest.mark.slow  # tests/integration/test_failing_tiles.py kills workers by default
-def test_a_worker_that_dies_is_replaced(
-    start: Start, cloud: Path, undisturbed: dict[str, str], tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    process = start(cloud, out)
-    wait_for(out, "task_done", "filter0", process)
-    workers = [
-        p
-        for server in psutil.Process(process.pid).children()
-        if "tiler.schedule.guarded" in server.cmdline()
-        for p in server.children()
-    ]
-    workers[0].kill()
-    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
-    assert process.returncode == 0, error
-    assert output_digests(out) == undisturbed
-
-
-def goes_on_to_the_same(cloud: Path, out: Path, undisturbed: dict[str, str]) -> None:
-    """The job again, here: nothing that was finished is done once more, and the bytes are those of a run in peace."""
-    store = the_store(out)
-    before = {stage: store.committed(stage).keys() for stage in STAGES}
-    assert before["filter0"]
-    found = do(cloud, out)
-    assert found.exit_code == 0
-    stages = found.summary["stages"]
-    for stage in STAGES:
-        assert stages[stage]["done"] == len(before[stage])
-        assert stages[stage]["computed"] == stages[stage]["tasks"] - len(before[stage])
-    assert output_digests(out) == undisturbed

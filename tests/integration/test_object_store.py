@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 import tiler
-from tests.integration.cloud import BUCKET, object_store
+from tests.integration.cloud import BUCKET
 from tests.invariants import clouds
 from tests.invariants.runs import settings
 from tiler.apps.clean import clean
@@ -24,21 +23,6 @@ from tiler.report.html import write_report_at
 from tiler.store import locked_folder
 
 pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def bucket() -> Iterator[Any]:
-    """The file system of an S3 server whose variables are those of this process."""
-    pytest.importorskip("moto.server", reason="no S3 server: moto is not installed")
-    pytest.importorskip("upath")
-    s3fs = pytest.importorskip("s3fs")
-    with object_store() as variables, pytest.MonkeyPatch.context() as patch:
-        for name, value in variables.items():
-            patch.setenv(name, value)
-        system = s3fs.S3FileSystem(use_listings_cache=False)
-        system.mkdir(BUCKET)
-        yield system
-        s3fs.S3FileSystem.clear_instance_cache()
 
 
 def test_results_and_store_by_url(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,21 +89,15 @@ def test_every_command_takes_urls(bucket: Any, tmp_path: Path, monkeypatch: pyte
     run([url], out, settings())
     run([str(cloud)], tmp_path / "here", settings())
     assert bucket.cat(f"{BUCKET}/hill/dtm.tif") == (tmp_path / "here/dtm.tif").read_bytes()
-    for there, here in (
-        (url, cloud),
-        (out, tmp_path / "here"),
-        (f"{out}/dtm.tif", tmp_path / "here/dtm.tif"),
-    ):
+    dtms = (f"{out}/dtm.tif", tmp_path / "here/dtm.tif")
+    for there, here in ((url, cloud), (out, tmp_path / "here"), dtms):
         found, same = describe(str(there)), describe(str(here))
         assert found.pop("path") == there
         assert found.keys() - {"store"} == same.keys() - {"path", "store"}
         assert found.get("heights") == same.get("heights")
     assert describe(f"{out}/store.zarr")["points"] == describe(url)["points"]
     (tmp_path / "points.csv").write_text("x,y,z\n500020,5400020,100\n")
-    accuracies = [
-        tiler.check(dtm, tmp_path / "points.csv").summary["accuracy"]["nva"]
-        for dtm in (f"{out}/dtm.tif", tmp_path / "here/dtm.tif")
-    ]
+    accuracies = [tiler.check(dtm, tmp_path / "points.csv").summary["accuracy"]["nva"] for dtm in dtms]
     assert accuracies[0] == accuracies[1]
     tiler.classify(url, "there.laz", settings())
     tiler.classify(cloud, "same.laz", settings())

@@ -1,18 +1,4 @@
-"""Odd, broken and lying files through the command: the exit code and the line that people get, never a traceback.
-
-===========================================  ====  ======================================================
-file                                         code  the line
-===========================================  ====  ======================================================
-garbage_nVariableLength.las                  3     says so many records, there is room for none
-Semis_2022_0906_6665_nok.laz                 3     its header was never finished
-1.2-with-color-clipped.las, 1.2-no-points    3     says 1065 points, has room for fewer: cut short
-epsg_4326.las, spurious.las                  3     the CRS is geographic
-no-points.las                                3     no points; there is nothing
-extra, gps-time-nan, noise-dirty, simple1_3  3     has no CRS; with ``--crs none`` 0
-test_noepsg_..., vegetation_1_3, warsaw      3     has no CRS; with ``--crs none`` 0
-all others                                   0
-===========================================  ====  ======================================================
-"""
+"""Odd, broken and lying files through the command: the exit code and the line that people get, never a traceback."""
 
 from __future__ import annotations
 
@@ -23,16 +9,8 @@ import pytest
 
 from tests.integration.command import assert_one_line, tiler
 
-NO_CRS = "has no CRS"
-NO_CRS_FILES = (
-    "extra.laz",
-    "gps-time-nan.las",
-    "noise-dirty.las",
-    "simple1_3.las",
-    "test_noepsg_043500_629205_IGN69.laz",
-    "vegetation_1_3.las",
-    "warsaw_small.las",
-)
+NO_CRS_FILES = """extra.laz gps-time-nan.las noise-dirty.las simple1_3.las test_noepsg_043500_629205_IGN69.laz
+vegetation_1_3.las warsaw_small.las""".split()  # noqa: SIM905
 REFUSED = {
     "1.2-no-points.las": "says 1065 points, has room for 0",
     "1.2-with-color-clipped.las": "says 1065 points, has room for 1064",
@@ -41,16 +19,10 @@ REFUSED = {
     "garbage_nVariableLength.las": "variable length records",
     "no-points.las": "no points; there is nothing",
     "spurious.las": "geographic",
-    **dict.fromkeys(NO_CRS_FILES, NO_CRS),
+    **dict.fromkeys(NO_CRS_FILES, "has no CRS"),
 }
-READ = (
-    "1.0_0.las",
-    "4_6_crop.las",
-    "bad_vlr_count.las",
-    "file_with_both_wkt_and_geotiff_vlrs.las",
-    "fullwave.laz",
-    "simple.copc.laz",
-)
+READ = """1.0_0.las 4_6_crop.las bad_vlr_count.las file_with_both_wkt_and_geotiff_vlrs.las fullwave.laz
+simple.copc.laz""".split()  # noqa: SIM905
 
 
 @pytest.fixture(scope="module")

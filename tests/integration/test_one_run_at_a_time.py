@@ -9,16 +9,10 @@ from typing import Any
 
 import pytest
 
-from tests.invariants import clouds
 from tests.invariants.forked import ended, forked
 from tests.invariants.runs import do, output_digests, the_store
 from tiler.errors import LockedError
 from tiler.store import TileStore, create_store, locked_folder
-
-
-@pytest.fixture
-def cloud(tmp_path: Path) -> Path:
-    return clouds.write(tmp_path / "hill.laz", clouds.city(90.0, 1.0))
 
 
 def test_two_runs_on_one_folder_exclude_one_another(cloud: Path, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,8 @@ import rasterio
 import shapely
 from pyogrio import raw
 
-import tiler
 from tests.invariants import clouds
-from tiler.config import RunConfig
+from tests.invariants.runs import do
 
 SIDE = 300.0
 
@@ -22,9 +20,7 @@ SIDE = 300.0
 def land(shape: str) -> shapely.Geometry:
     """Where points are, in metres from the corner of the scene."""
     box, centre = shapely.box(0, 0, SIDE, SIDE), shapely.Point(150, 150)
-    bites = shapely.union_all(
-        [shapely.Point(x, y).buffer(24) for x, y in ((0, 60), (0, 200), (120, 0), (300, 250))]
-    )
+    bites = shapely.MultiPoint([(0, 60), (0, 200), (120, 0), (300, 250)]).buffer(24)
     return {
         "ragged": box - bites - shapely.box(200, 0, 240, 120) - shapely.Point(100, 200).buffer(30),
         "strip": shapely.LineString([(0, 0), (300, 300)]).buffer(30) & box,
@@ -42,9 +38,7 @@ def make(tmp_path: Path, shape: str, **settings: object) -> tuple[np.ndarray, np
     points = clouds.Cloud(xyz, np.ones(len(xyz), bool))
     cloud = clouds.write(tmp_path / "cloud.laz", points, classes=np.full(len(xyz), 2, np.uint8))
     out = tmp_path / "out"
-    tiler.run(
-        [cloud], out, RunConfig(method="keep", resolution=Fraction(1), in_process=True, workers=1, **settings)
-    )  # type: ignore[arg-type]
+    do(cloud, out, method="keep", tile_size=None, halo=None, memory=None, **settings)
     with rasterio.open(out / "dtm.tif") as raster:
         heights = raster.read(1) != raster.nodata
         rows, cols = np.mgrid[: raster.height, : raster.width]

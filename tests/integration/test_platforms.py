@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.integration.command import ROOT, TIMEOUT_SECONDS, environment
+from tests.integration.command import ROOT, command, ended, environment
 from tests.scenes import bare_system
 from tiler.simulate import DemoScene
 
@@ -40,9 +39,7 @@ def bare(tmp_path: Path) -> dict[str, str]:
 
 @pytest.mark.slow
 def test_every_module_can_be_imported(bare: dict[str, str]) -> None:
-    made = subprocess.run(
-        [sys.executable, "-c", IMPORT_ALL], cwd=ROOT, env=bare, capture_output=True, text=True, check=False
-    )
+    made = ended([sys.executable, "-c", IMPORT_ALL], cwd=ROOT, env=bare)
     assert (made.returncode, made.stderr) == (0, "")
     assert int(made.stdout) > 300
 
@@ -54,10 +51,7 @@ def test_a_run_gives_the_same_and_tells_what_it_lacks(
     dtms = []
     for name, env in (("bare", bare), ("whole", environment())):
         out = tmp_path / name
-        made = subprocess.run(
-            [sys.executable, "-m", "cli.main", "run", str(demo.paths[0]), "-o", out, "--method", "classic"],
-            env=env, capture_output=True, text=True, check=False, timeout=TIMEOUT_SECONDS,
-        )  # fmt: skip
+        made = ended(command("run", demo.paths[0], "-o", out, "--method", "classic"), env=env)
         assert made.returncode == 0, made.stderr
         dtms.append((out / "dtm.tif").read_bytes())
         line = "this system cannot limit the memory of a process: a worker that needs more than planned is not stopped"

@@ -44,9 +44,7 @@ def pairs(terrain: Path, tiles: Path, east: float, north: float) -> tuple[np.nda
         c0, r0 = np.floor(col + 1e-6).astype(int), np.floor(row + 1e-6).astype(int)
         keep = (c0 >= 0) & (r0 >= 0) & (c0 + 1 < heights.shape[1]) & (r0 + 1 < heights.shape[0])
         c0, r0, u, v = c0[keep], r0[keep], (col[keep] - c0[keep]), (row[keep] - r0[keep])
-        corners = np.stack(
-            [heights[r0, c0], heights[r0, c0 + 1], heights[r0 + 1, c0], heights[r0 + 1, c0 + 1]]
-        )
+        corners = np.stack([heights[r0 + i, c0 + j] for i in (0, 1) for j in (0, 1)])
         weights = np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
         known = (corners != NODATA).all(axis=0)
         ours.append((corners * weights).sum(axis=0)[known])

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import rasterio
 
-from tests.integration.command import TIMEOUT_SECONDS, command, environment, tiler
+from tests.integration.command import command, ended, environment, tiler
 from tests.invariants import clouds
 from tests.invariants.runs import output_digests
 from tiler.core.edits import ACTIONS
@@ -55,20 +55,13 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     variables = {**os.environ, **own}
     known = {**environment(), "QGIS_CUSTOM_CONFIG_PATH": str(home)}
     call = command("qgis", "install")
-    assert_done(subprocess.run(call, env=known, capture_output=True, text=True, check=False))
+    assert_done(ended(call, env=known))
     assert_done(qgis(variables, "plugins", "enable", "tiler_qgis"))
     return variables
 
 
 def qgis(variables: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(QGIS_PROCESS), *arguments],
-        env=variables,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=TIMEOUT_SECONDS,
-    )
+    return ended([QGIS_PROCESS, *arguments], env=variables)
 
 
 def assert_done(done: subprocess.CompletedProcess[str]) -> None:
@@ -119,23 +112,13 @@ def test_classify_check_and_preview(
 def test_a_session(profile: dict[str, str], cloud: Path, by_command: Path, tmp_path: Path) -> None:
     """Stopped and started again, layers in the project, corrections drawn there and applied."""
     out, given, edits, told = (tmp_path / name for name in ("out", "given", "edits", "told"))
-    given.write_text(
-        json.dumps(
-            {**OPTIONS, "INPUT": [str(cloud)], "OUTPUT": str(out), "PRODUCTS": "dtm,mask", "LOAD": True}
-        )
-    )
+    wanted = {"INPUT": [str(cloud)], "OUTPUT": str(out), "PRODUCTS": "dtm,mask", "LOAD": True}
+    given.write_text(json.dumps(OPTIONS | wanted))
     with rasterio.open(by_command / "dtm.tif") as terrain:
         x, y = terrain.bounds.left, terrain.bounds.bottom
     edits.write_text(json.dumps([["flat", 200.0, [x + 40, y + 40, x + 60, y + 60]]]))
     plugins = Path(profile["QGIS_CUSTOM_CONFIG_PATH"]) / "profiles/default/python/plugins"
-    done = subprocess.run(
-        [PYTHON, str(SESSION), str(plugins), str(given), str(edits), str(told), STOPPED_AT],
-        env=profile,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=TIMEOUT_SECONDS,
-    )
+    done = ended([PYTHON, SESSION, plugins, given, edits, told, STOPPED_AT], env=profile)
     assert told.exists(), f"{done.stdout}\n{done.stderr}"
     found: dict[str, Any] = json.loads(told.read_text())
     assert found["stopped"]["titles"][-1] == STOPPED_AT

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from tests.invariants import clouds
 from tests.invariants.runs import do
 from tiler.errors import ProcessingError
 from tiler.stages import file_tasks, ingest_tasks, tasks
@@ -21,11 +20,6 @@ WORKS = {
     "write_cog": file_tasks,
     "write_classified": file_tasks,
 }
-
-
-@pytest.fixture
-def cloud(tmp_path: Path) -> Path:
-    return clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
 
 
 def remove_at(name: str, place: Path, early: bool, monkeypatch: pytest.MonkeyPatch) -> None:

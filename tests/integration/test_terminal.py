@@ -62,13 +62,9 @@ def test_no_command_gives_control_characters_on(
     figures = tmp_path / f"figures{EVIL}"
     broken = tmp_path / NAME
     broken.write_bytes(b"LASF")
+    places = (cloud, out, out / "dtm.tif", out / "store.zarr", broken, tmp_path / f"gone{EVIL}")
     for arguments in (
-        ("info", cloud),
-        ("info", out),
-        ("info", out / "dtm.tif"),
-        ("info", out / "store.zarr"),
-        ("info", broken),
-        ("info", tmp_path / f"gone{EVIL}"),
+        *(("info", place) for place in places),
         ("plan", cloud, *OPTIONS),
         ("plan", broken, cloud, *OPTIONS),
         ("run", cloud, "-o", out, *OPTIONS, "-vv"),
@@ -114,6 +110,5 @@ def test_there_is_one_way_out_for_text() -> None:
     folder = Path(str(commands.__file__)).parents[1]
     found = {p.name for p in folder.rglob("*.py") if re.search(r"\b(click\.s?echo|print)\(", p.read_text())}
     assert found <= {"output.py", "main.py"}
-    assert re.findall(r"click\.echo\(.*", (folder / "main.py").read_text()) == [
-        "click.echo(context.get_help(), err=True)"
-    ]
+    calls = re.findall(r"click\.echo\(.*", (folder / "main.py").read_text())
+    assert calls == ["click.echo(context.get_help(), err=True)"]

@@ -95,16 +95,13 @@ def do(inputs: list[str], out: Path) -> RunResult:
 
 def test_a_run_on_urls_is_a_run_on_files(servers: dict[str, str], folder: Path, tmp_path: Path) -> None:
     do([str(folder / "a")], tmp_path / "files")
-    result = do([f"{servers['http']}/a/west.las", f"{servers['ftp']}/a/east.laz"], tmp_path / "urls")
-    assert result.exit_code == 0
+    urls = [f"{servers['http']}/a/west.las", f"{servers['ftp']}/a/east.laz"]
+    assert do(urls, tmp_path / "urls").exit_code == 0
     assert (dtm(tmp_path / "urls")[0] == dtm(tmp_path / "files")[0]).all()
     for name in ("west.laz", "east.laz"):
-        assert (tmp_path / "urls" / "classified" / name).read_bytes() == (
-            tmp_path / "files" / "classified" / name
-        ).read_bytes()
-    assert do(
-        [f"{servers['http']}/a/west.las", f"{servers['ftp']}/a/east.laz"], tmp_path / "urls"
-    ).did_nothing
+        ours, theirs = (tmp_path / out / "classified" / name for out in ("urls", "files"))
+        assert ours.read_bytes() == theirs.read_bytes()
+    assert do(urls, tmp_path / "urls").did_nothing
 
 
 def test_an_object_that_is_replaced_is_left_out(
@@ -127,8 +124,6 @@ def test_an_object_that_is_replaced_is_left_out(
 def test_a_server_that_gives_no_parts_is_told_of(tmp_path: Path) -> None:
     clouds.write(tmp_path / "west.las", clouds.city(160.0, 2.0))
     with http_server(tmp_path, parts=False) as server:
-        url = f"{server}/west.las"
-        with pytest.raises(
-            InputError, match=r"west\.las: .*its server gives no parts of files, no range requests"
-        ):
-            inspect(cloud_path(url))
+        line = r"west\.las: .*its server gives no parts of files, no range requests"
+        with pytest.raises(InputError, match=line):
+            inspect(cloud_path(f"{server}/west.las"))

@@ -20,33 +20,15 @@ from hypothesis import strategies as st
 
 from cli.main import main
 
-CLOUDS = (
-    "a.las",
-    "A.LAS",
-    "b.laz",
-    "with space.las",
-    "new\nline.las",
-    "\x1b[31mred.las",
-    "-o.las",
-    "\udcff.las",
-    "ü.laz",
+ODD = ("with space.las", "new\nline.las", "\x1b[31mred.las", "-o.las", "\udcff.las", "ü.laz")
+CLOUDS = ("a.las", "A.LAS", "b.laz", *ODD)
+FOLDERS = tuple(
+    "in in/sub IN out out/classified out/outdated out/store.zarr out/dtm store pictures".split()  # noqa: SIM905
 )
-FOLDERS = (
-    "in",
-    "in/sub",
-    "IN",
-    "out",
-    "out/classified",
-    "out/outdated",
-    "out/store.zarr",
-    "out/dtm",
-    "store",
-    "pictures",
+OTHERS = tuple(
+    """notes.txt dtm.tif dtm.vrt DTM.tif run.json events.jsonl report.html check.json zarr.json a.laz p.png d.tif
+    x.partial dtm.tif.plain.partial run.json.partial c 0 index lock.json""".split()  # noqa: SIM905
 )
-OTHERS = (
-    "notes.txt", "dtm.tif", "dtm.vrt", "DTM.tif", "run.json", "events.jsonl", "report.html", "check.json", "zarr.json",
-    "a.laz", "p.png", "d.tif", "x.partial", "dtm.tif.plain.partial", "run.json.partial", "c", "0", "index", "lock.json",
-)  # fmt: skip
 WEST, SOUTH, SIDE = 500_000.0, 5_400_000.0, 12.0
 
 
@@ -116,18 +98,9 @@ def raster_bytes() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "d.tif"
         heights = np.full((12, 12), 100, np.float32) + 0.1 * np.arange(12, dtype=np.float32)
-        with rasterio.open(
-            path,
-            "w",
-            driver="GTiff",
-            height=12,
-            width=12,
-            count=1,
-            dtype="float32",
-            nodata=-9999.0,
-            crs="EPSG:25832",
-            transform=Affine(1, 0, WEST, 0, -1, SOUTH + SIDE),
-        ) as raster:
+        grid = {"crs": "EPSG:25832", "transform": Affine(1, 0, WEST, 0, -1, SOUTH + SIDE)}
+        values = {"height": 12, "width": 12, "count": 1, "dtype": "float32", "nodata": -9999.0}
+        with rasterio.open(path, "w", driver="GTiff", **grid, **values) as raster:
             raster.write(heights, 1)
         return path.read_bytes()
 
@@ -139,31 +112,31 @@ def content(kind: str, seed: int) -> bytes:
     if kind == "points":
         lines = (b"%.1f,%.1f,100.4\n" % (WEST + i, SOUTH + i) for i in range(2, 9))
         return b"x,y,z\n" + b"".join(lines)
-    return {
-        "raster": raster_bytes(),
-        "text": b"mine %d\n" % seed,
-        "empty": b"",
-        "json": b'{"state": "done"}',
-    }[kind]
+    if kind == "raster":
+        return raster_bytes()
+    return {"text": b"mine %d\n" % seed, "empty": b"", "json": b'{"state": "done"}'}[kind]
+
+
+one = st.sampled_from
+
+
+def within(folders: tuple[str, ...], names: tuple[str, ...]) -> st.SearchStrategy[str]:
+    return st.builds("{}/{}".format, one(folders), one(names))
 
 
 PLACES = st.one_of(
-    st.builds(
-        lambda f, n: f"{f}/{n}", st.sampled_from(("in", "in", "in/sub", *FOLDERS)), st.sampled_from(CLOUDS)
-    ),
-    st.builds(lambda f, n: f"{f}/{n}", st.sampled_from((*FOLDERS, "out")), st.sampled_from(OTHERS)),
-    st.sampled_from(("a.las", "notes.txt", "d.tif", "preview.png")),
+    within(("in", "in", "in/sub", *FOLDERS), CLOUDS),
+    within((*FOLDERS, "out"), OTHERS),
+    one(("a.las", "notes.txt", "d.tif", "preview.png")),
 )
 """Where things lie."""
 
 THINGS = st.tuples(
     PLACES,
-    st.sampled_from(
-        ("file", "file", "file", "file", "file", "link", "hard link", "folder", "link to folder")
-    ),
-    st.sampled_from(("text", "raster", "empty", "json", ".las", ".laz")),
+    one(("file", "file", "file", "file", "file", "link", "hard link", "folder", "link to folder")),
+    one(("text", "raster", "empty", "json", ".las", ".laz")),
     st.integers(0, 3),
-    st.one_of(PLACES, st.sampled_from(FOLDERS)),
+    st.one_of(PLACES, one(FOLDERS)),
 )
 
 
@@ -190,42 +163,21 @@ def put(tree: Tree, thing: tuple[str, str, str, int, str]) -> None:
             path.write_bytes(data)
 
 
-INPUTS = st.one_of(
-    st.just(["in"]),
-    st.lists(
-        st.sampled_from(("in", ".", "in/sub", "IN", "a.las", "in/a.las", "in/*.la?", "out", "in-link")),
-        min_size=1,
-        max_size=2,
-    ),
-)
+SOME = ("in", ".", "in/sub", "IN", "a.las", "in/a.las", "in/*.la?", "out", "in-link")
+INPUTS = st.one_of(st.just(["in"]), st.lists(one(SOME), min_size=1, max_size=2))
 OUTS = st.one_of(
-    st.just("out"),
-    st.sampled_from(("in", ".", "out/classified", "in/sub", "new", "out-link", "pictures", "a.las")),
+    st.just("out"), one(("in", ".", "out/classified", "in/sub", "new", "out-link", "pictures", "a.las"))
 )
-STORES = st.one_of(
-    st.none(), st.sampled_from((None, "store", "out", "in", "out/classified", "out-link", "."))
+STORES = st.one_of(st.none(), one((None, "store", "out", "in", "out/classified", "out-link", ".")))
+MORE_OPTIONS = ("--overwrite", "--clean-store", "--verify", "--sheets=6", "--products=dtm,hillshade")
+FLAGS = st.lists(one(MORE_OPTIONS), max_size=2, unique=True)
+ANY = ("in/a.las", "out/run.json", "notes.txt", "d.tif", "in-link/a.las", "in/A.LAS", "out")
+SOURCES = one(("in/a.las", "a.las", "in/b.laz", "in-link/a.las", "out/classified/a.laz", *ANY))
+TARGETS = one(
+    ("new/x.laz", "out/classified/a.laz", "in/b.laz", "a.laz", "IN/a.laz", "in/a.laz", "out/a.laz", *ANY)
 )
-FLAGS = st.lists(
-    st.sampled_from(("--overwrite", "--clean-store", "--verify", "--sheets=6", "--products=dtm,hillshade")),
-    max_size=2,
-    unique=True,
-)
-ANY = st.sampled_from(("in/a.las", "out/run.json", "notes.txt", "d.tif", "in-link/a.las", "in/A.LAS", "out"))
-SOURCES = st.one_of(
-    st.sampled_from(("in/a.las", "a.las", "in/b.laz", "in-link/a.las", "out/classified/a.laz")), ANY
-)
-TARGETS = st.one_of(
-    st.sampled_from(
-        ("new/x.laz", "out/classified/a.laz", "in/b.laz", "a.laz", "IN/a.laz", "in/a.laz", "out/a.laz")
-    ),
-    ANY,
-)
-PICTURES = st.one_of(
-    st.sampled_from(("preview.png", "pictures/p.png", "in/p.png", "out/p.png", "out-link/p.png")), ANY
-)
-RASTERS = st.one_of(
-    st.sampled_from(("out/dtm.tif", "d.tif", "d.tif", "in/d.tif", "out/dtm.vrt", "out-link/dtm.tif")), ANY
-)
+PICTURES = one(("preview.png", "pictures/p.png", "in/p.png", "out/p.png", "out-link/p.png", *ANY))
+RASTERS = one(("out/dtm.tif", "d.tif", "d.tif", "in/d.tif", "out/dtm.vrt", "out-link/dtm.tif", *ANY))
 
 
 def run_line(
@@ -237,20 +189,10 @@ def run_line(
     return [stage, *inputs, "-o", out, *how, *chosen, *flags, "-q"]
 
 
-METHODS = st.sampled_from(("keep", "keep", "classic"))
+METHODS = one(("keep", "keep", "classic"))
 COMMANDS = st.one_of(
-    st.builds(
-        run_line,
-        INPUTS,
-        OUTS,
-        STORES,
-        FLAGS,
-        st.sampled_from(("run", "run", "run", "ingest", "grid")),
-        METHODS,
-    ),
-    st.builds(
-        lambda out, store: ["clean", out, *([] if store is None else ["--store", store])], OUTS, STORES
-    ),
+    st.builds(run_line, INPUTS, OUTS, STORES, FLAGS, one(("run", "run", "run", "ingest", "grid")), METHODS),
+    st.builds(lambda out, store: ["clean", out, *(["--store", store] if store else [])], OUTS, STORES),
     st.builds(lambda out: ["report", out, "-q"], OUTS),
     st.builds(
         lambda i, o: ["preview", *i, "-o", o, "--method", "keep", "--crs", "EPSG:25832", "-q"],
@@ -260,9 +202,7 @@ COMMANDS = st.one_of(
     st.builds(lambda i, o: ["classify", i, o, "--method", "classic", "-q"], SOURCES, TARGETS),
     st.builds(
         lambda d, t, o: ["evaluate", "--dtm", d, "--true-dtm", t, "--difference", o, "-q"],
-        RASTERS,
-        RASTERS,
-        RASTERS,
+        *(RASTERS, RASTERS, RASTERS),
     ),
     st.builds(lambda c, m: ["evaluate", c, "--reference", "in", "--maps", m, "-q"], SOURCES, OUTS),
     st.builds(lambda d, f: ["check", d, "--points", "points.csv", "--figures", f, "-q"], RASTERS, OUTS),
@@ -281,15 +221,8 @@ def named_by(arguments: list[str]) -> set[str]:
 
 
 RUNS = st.builds(run_line, INPUTS, st.just("out"), STORES, FLAGS, st.just("run"), METHODS)
-MORE = st.lists(
-    st.one_of(
-        st.tuples(st.just("put"), THINGS),
-        st.tuples(st.just("command"), COMMANDS),
-        st.tuples(st.just("command"), COMMANDS),
-    ),
-    min_size=1,
-    max_size=3,
-)
+COMMAND = st.tuples(st.just("command"), COMMANDS)
+MORE = st.lists(st.one_of(st.tuples(st.just("put"), THINGS), COMMAND, COMMAND), min_size=1, max_size=3)
 STEPS = st.one_of(MORE, st.builds(lambda first, rest: [("command", first), *rest], RUNS, MORE))
 TREES = st.lists(THINGS, min_size=2, max_size=9)
 

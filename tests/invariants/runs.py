@@ -17,6 +17,10 @@ from tiler.pipeline import RunResult, run
 from tiler.store import TileStore, open_store
 
 MARK = 0x80
+WITH_EVERY_STAGE = {"products": "dtm,slope,mask", "voids": "fill", "sheets": "64"}
+"""Settings with which a run has stages of every kind."""
+EVERY_STAGE = """identify spool assemble filter0 grid-dtm grid-slope grid-survey grid-dtm-outlined grid-mask export
+mosaic""".split()  # noqa: SIM905
 
 
 def settings(**changes: Any) -> RunConfig:
@@ -66,6 +70,12 @@ def dtm(out: Path) -> tuple[np.ndarray, Any]:
     """Pixels and transform."""
     with rasterio.open(out / "dtm.tif") as raster:
         return raster.read(1), raster.transform
+
+
+def assert_same_terrain(out: Path, other: Path) -> None:
+    """The same pixels at the same places."""
+    for mine, theirs in zip(dtm(out), dtm(other), strict=True):
+        assert np.asarray(mine).tobytes() == np.asarray(theirs).tobytes()
 
 
 def classes_by_point(out: Path) -> np.ndarray:

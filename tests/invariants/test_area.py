@@ -11,19 +11,14 @@ import pytest
 import rasterio
 
 from tests.invariants.clouds import CORNER
-from tests.invariants.runs import computed, do, output_digests
+from tests.invariants.runs import computed, do, dtm, output_digests
 from tests.scenes.small_stores import small_stores
 from tests.tiler.io.vector.files import collection
 from tiler.core.area import Area
 from tiler.core.products import PRODUCTS
 
-SETTINGS = {
-    "halo": "15",
-    "max_edge": "15",
-    "tile_size": "32",
-    "products": list(PRODUCTS),
-    "parameters": {"max_building_size": "20"},
-}
+NARROW = {"halo": "15", "max_edge": "15", "tile_size": "32", "parameters": {"max_building_size": "20"}}
+SETTINGS = {**NARROW, "products": list(PRODUCTS)}
 """A margin that is narrow against the 192 m of the scene: the outermost buckets are left out."""
 
 WEST, SOUTH = CORNER
@@ -89,25 +84,18 @@ def test_a_part_is_that_part_of_the_whole(quarter_files: list[Path], whole: Path
                 inside[[0, -1]] = inside[:, [0, -1]] = False
             np.testing.assert_array_equal(found[inside], expected[inside], name)
             assert inside.sum() > 4000
-    assert result.summary["dtm"]["filled"] == int(np.count_nonzero(dtm_of(tmp_path / "out") != -9999))
+    assert result.summary["dtm"]["filled"] == int(np.count_nonzero(dtm(tmp_path / "out")[0] != -9999))
     assert sum(result.summary["mask"].values()) == inside.size
     changed = 0
     for path in quarter_files:
-        before, after, all_of = (
-            laspy.read(p)
-            for p in (path, tmp_path / "out/classified" / path.name, whole / "classified" / path.name)
-        )
+        files = path, *(out / "classified" / path.name for out in (tmp_path / "out", whole))
+        before, after, all_of = (laspy.read(file) for file in files)
         x, y = (np.rint(np.asarray(v) * 1000).astype(np.int64) for v in (before.x, before.y))
         inside = AREA.inside(x, y)
         classes = [np.asarray(c.classification) for c in (before, after, all_of)]
         np.testing.assert_array_equal(classes[1], np.where(inside, classes[2], classes[0]))
         changed += int((classes[1] != classes[0]).sum())
     assert changed > 1000
-
-
-def dtm_of(out: Path) -> np.ndarray:
-    with rasterio.open(out / "dtm.tif") as raster:
-        return np.asarray(raster.read(1))
 
 
 def test_bounds_are_the_rectangle_of_a_file_and_another_area_redoes_what_it_must(

@@ -8,12 +8,11 @@ import laspy
 import numpy as np
 import pyogrio
 import pytest
-import rasterio
 import shapely
 
 from tests.invariants import clouds
 from tests.invariants.clouds import CORNER, Cloud
-from tests.invariants.runs import all_digests, do
+from tests.invariants.runs import all_digests, do, dtm
 
 EAST, NORTH = CORNER
 HALF, BED = 5.0, 12.0  # metres: of the deck's width, and of the bed of the valley below it
@@ -35,15 +34,10 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return clouds.write(tmp_path_factory.mktemp("cloud") / "road.laz", cloud, classes=cloud.truth)
 
 
-def heights(out: Path) -> np.ndarray:
-    with rasterio.open(out / "dtm.tif") as raster:
-        return raster.read(1)[::-1]
-
-
 def test_a_deck_is_left_out_drawn_and_brought_back(cloud: Path, tmp_path: Path) -> None:
     out, settings = tmp_path / "out", {"method": "keep", "resolution": "1"}
     do(cloud, out, **settings)
-    with_deck, digests = heights(out), all_digests(out)
+    with_deck, digests = dtm(out)[0][::-1], all_digests(out)
     assert not (out / "bridges.gpkg").exists()
     result = do(cloud, out, bridges="remove", **settings)
     (fact,) = result.summary["bridges"]
@@ -60,7 +54,7 @@ def test_a_deck_is_left_out_drawn_and_brought_back(cloud: Path, tmp_path: Path) 
     assert deck.intersection(truth).area > 0.7 * truth.area
     y, x = np.mgrid[:120, :120] + 0.5
     true = 50 - valley(x)
-    bare = heights(out)
+    bare = dtm(out)[0][::-1]
     below = (np.abs(y - MIDDLE) < HALF - 1) & (np.abs(x - MIDDLE) < BED)
     assert (with_deck - true)[below].min() > 4.5
     assert np.abs(bare - true)[below].max() < 0.2

@@ -2,72 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
-from typing import Any
 
 import laspy
 import numpy as np
 import pyogrio
 import pytest
-import rasterio
 import shapely
 
-from tests.invariants import clouds
-from tests.invariants.clouds import CORNER, Cloud
+from tests.invariants.clouds import CORNER
 from tests.invariants.runs import computed, do, settings
+from tests.scenes.drawings import EAST, NORTH, Features, digests, draw, ground, pixels, written
 from tests.scenes.small_stores import small_stores
 from tiler.core.products import NODATA
 from tiler.errors import ConfigError, InputError
 from tiler.plan import make_plan
 
-EAST, NORTH = CORNER
 PIXEL = 0.4  # of runs on the town
-Features = list[tuple[Any, dict[str, Any]]]
-
-
-def draw(path: Path, features: Features) -> str:
-    """A file of features in metres from `CORNER`."""
-    found = [
-        {
-            "type": "Feature",
-            "properties": columns,
-            "geometry": shapely.geometry.mapping(
-                shapely.transform(
-                    shape, lambda xyz: xyz + np.array([EAST, NORTH, 0])[: xyz.shape[1]], include_z=shape.has_z
-                )
-            ),
-        }
-        for shape, columns in features
-    ]
-    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}}
-    path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": found}))
-    return str(path)
-
-
-def pixels(out: Path) -> np.ndarray:
-    """Heights of the DTM, rows from the south, columns from the west, both from `CORNER` on."""
-    with rasterio.open(out / "dtm.tif") as raster:
-        size, bounds = raster.res[0], raster.bounds
-        south, west = round((bounds.bottom - NORTH) / size), round((bounds.left - EAST) / size)
-        return np.pad(raster.read(1)[::-1], ((south, 0), (west, 0)), constant_values=NODATA)
-
-
-def digests(out: Path) -> dict[str, str]:
-    files = [*out.glob("*.tif"), *out.glob("*.gpkg"), *out.glob("classified/*")]
-    return {f.name: hashlib.blake2b(f.read_bytes()).hexdigest() for f in sorted(files)}
-
-
-def ground(heights: Any, side: float = 60.0, number: int = 12_000, seed: int = 3) -> Cloud:
-    """Points of class 2 on a surface, whole millimetres."""
-    xy = np.round(np.random.default_rng(seed).uniform(0, side, (number, 2)), 3)
-    xyz = np.column_stack((xy, np.round(heights(*xy.T), 3)))
-    return Cloud(xyz, np.full(number, 2, np.uint8))
-
-
-def written(path: Path, cloud: Cloud) -> Path:
-    return clouds.write(path, cloud, classes=cloud.truth)
 
 
 # --- breaklines
@@ -87,20 +39,12 @@ def lines_of_wall() -> Features:
 def test_a_wall_is_sharp_within_a_pixel(tmp_path: Path) -> None:
     cloud = written(tmp_path / "wall.laz", ground(wall, number=8_000))
     do(cloud, tmp_path / "plain", method="keep", resolution="0.5")
-    do(
-        cloud,
-        tmp_path / "drawn",
-        method="keep",
-        resolution="0.5",
-        breaklines=draw(tmp_path / "l.json", lines_of_wall()),
-    )
+    lines = draw(tmp_path / "l.json", lines_of_wall())
+    do(cloud, tmp_path / "drawn", method="keep", resolution="0.5", breaklines=lines)
     y, x = (np.mgrid[4:116, 56:65] + 0.5) / 2
-    errors = [
-        np.sqrt(((pixels(tmp_path / out)[4:116, 56:65] - wall(x, y)) ** 2).mean())
-        for out in ("plain", "drawn")
-    ]
-    assert errors[0] > 0.25
-    assert errors[1] < 0.002
+    plain, drawn = (pixels(tmp_path / out)[4:116, 56:65] - wall(x, y) for out in ("plain", "drawn"))
+    assert np.sqrt((plain**2).mean()) > 0.25
+    assert np.sqrt((drawn**2).mean()) < 0.002
 
 
 def test_a_plane_stays_one(tmp_path: Path) -> None:
@@ -115,12 +59,8 @@ def test_a_plane_stays_one(tmp_path: Path) -> None:
     cloud.xyz[:, 2] = plane(cloud.xyz[:, 0], cloud.xyz[:, 1])
     ring = shapely.Polygon([(*p, plane(*np.array(p))) for p in ((8, 8), (24, 8), (24, 40), (8, 40))])
     drawn = [(line((0, 4), (56, 4), (56, 52)), {}), (line((4, 56), (20, 40), (52, 8)), {}), (ring, {})]
-    do(
-        written(tmp_path / "plane.laz", cloud),
-        tmp_path / "out",
-        method="keep",
-        breaklines=draw(tmp_path / "l.json", drawn),
-    )
+    lines = draw(tmp_path / "l.json", drawn)
+    do(written(tmp_path / "plane.laz", cloud), tmp_path / "out", method="keep", breaklines=lines)
     y, x = np.mgrid[1:58, 1:58] + 0.5
     assert np.abs(pixels(tmp_path / "out")[1:58, 1:58] - plane(x, y)).max() < 1.1e-3
 
@@ -183,15 +123,12 @@ def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_
     again = do(quarter_files, tmp_path / "out", **fine, edits=edits)
     assert plain.exit_code == again.exit_code == 0
     done = {stage: n for stage, n in computed(again).items() if n}
+    once = ("edits", "grid-dtm", "water-search", "grid-dtm-outlined", "grid-occupancy")  # one of four blocks
     assert done == {
-        "edits": 1,
-        "grid-dtm": 1,
-        "water-search": 1,
-        "grid-dtm-outlined": 1,
-        "grid-occupancy": 1,
+        **dict.fromkeys(once, 1),
         "export": 2,
         "catalogue": 2,
-    }  # one of four blocks; the raster and one of four clouds
+    }  # the raster and one of four clouds
     changed = {name for name, digest in digests(tmp_path / "out").items() if digest != before[name]}
     assert changed == {"dtm.tif", "ne.laz"}
     (fact,) = again.summary["edits"]
@@ -240,10 +177,8 @@ def test_contours_agree_with_the_terrain_and_neither_cross_nor_break(made: Path)
         col, row = (shapely.get_coordinates(line) - CORNER).T / PIXEL - 0.5
         i, j = np.floor(row + 1e-9).astype(int), np.floor(col + 1e-9).astype(int)
         u, v = row - i, col - j
-        i1, j1 = (
-            np.minimum(i + (u > 1e-6), len(heights) - 1),
-            np.minimum(j + (v > 1e-6), heights.shape[1] - 1),
-        )
+        i1 = np.minimum(i + (u > 1e-6), len(heights) - 1)
+        j1 = np.minimum(j + (v > 1e-6), heights.shape[1] - 1)
         found = heights[i, j] * (1 - u) * (1 - v) + heights[i1, j] * u + heights[i, j1] * v
         found += heights[i, j] * u * v  # one of u and v is 0
         assert found == pytest.approx(height, abs=0.01)
@@ -275,30 +210,20 @@ def test_spots_are_tops_and_bottoms(made: Path) -> None:
 
 # --- what is refused
 
-LINE = shapely.LineString([(0, 0), (5, 5)])
+LINE, FAR = shapely.LineString([(0, 0), (5, 5)]), shapely.LineString([(0, 0, 1), (1e10, 0, 1)])
 BOX = shapely.box(0, 0, 5, 5)
+ROOF = "its action is 'roof'; write one of not_ground, ground, void, flat into"
+FLAT = "is flat without a height; write it, in the unit of the heights, into"
 
 
 @pytest.mark.parametrize(
     ("option", "features", "told"),
     [
-        (
-            "breaklines",
-            [(shapely.LineString([(0, 0, 1), (1e10, 0, 1)]), {})],
-            "two of its vertices lie 1e+10 apart; give",
-        ),
+        ("breaklines", [(FAR, {})], "two of its vertices lie 1e+10 apart; give"),
         ("breaklines", [(LINE, {})], "has no heights; draw it in 3D, or give it a column `z`"),
-        (
-            "edits",
-            [(BOX, {"action": "roof"})],
-            "its action is 'roof'; write one of not_ground, ground, void, flat into",
-        ),
+        ("edits", [(BOX, {"action": "roof"})], ROOF),
         ("edits", [(BOX, {"name": "x"})], "has no `action`; write one of"),
-        (
-            "edits",
-            [(BOX, {"action": "flat"})],
-            "is flat without a height; write it, in the unit of the heights, into",
-        ),
+        ("edits", [(BOX, {"action": "flat"})], FLAT),
         ("edits", [(LINE, {"action": "void"})], "needs one layer of polygons, has 0"),
     ],
 )

@@ -19,16 +19,12 @@ from tests.invariants.runs import do
 from pathlib import Path
 do(Path(sys.argv[1]), Path(sys.argv[2]), **json.loads(sys.argv[3]))
 """
-WARM = """
-import sys
-from ptd.precompile import warm_filters, warm_gridding
-warm_filters(sys.argv[1], lambda: None); warm_gridding("linear", lambda: None)
-"""
 
 
 def measured_run(path: Path, out: Path, **changes: object) -> dict:
     """run.json of a serial run in a process of its own, with kernels that were compiled before."""
-    subprocess.run([sys.executable, "-c", WARM, str(changes.get("method", "classic"))], check=True)
+    method = str(changes.get("method", "classic"))
+    subprocess.run([sys.executable, "-m", "cli.main", "warm", method], check=True)
     subprocess.run([sys.executable, "-c", MEASURED, str(path), str(out), json.dumps(changes)], check=True)
     content: dict = json.loads((out / "run.json").read_text())
     return content

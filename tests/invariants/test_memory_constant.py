@@ -14,8 +14,7 @@ SIDE_M = 700
 COPIES = 2
 """A side: the same city beside itself."""
 MAX_X, MIN_X, OFFSET_X = 179, 187, 155
-"""Bytes of a LAS header; those of y follow."""
-Y_AFTER_BOUNDS, Y_AFTER_OFFSET = 16, 8
+"""Bytes of a LAS header; those of y follow 8 bytes after the offset, 16 after the bounds."""
 
 RUN = """
 import json, sys
@@ -26,10 +25,6 @@ config = RunConfig.from_mapping({"workers": 1, "method": "classic", "resolution"
 summary = run([sys.argv[1]], sys.argv[2], config).summary
 print(json.dumps({"command": peak_rss_bytes(), "points": summary["counts"]["stored"], "plan": summary["plan"],
                   **{name: stage["peak_rss_bytes"] for name, stage in summary["stages"].items()}}))
-"""
-WARM = """
-from ptd.precompile import warm_filters, warm_gridding
-warm_filters("classic", lambda: None); warm_gridding("linear", lambda: None)
 """
 
 
@@ -44,21 +39,15 @@ def peaks(folder: Path) -> dict:
 def shifted(las: bytes, east: float, north: float) -> bytes:
     """A LAS file elsewhere, by its header alone."""
     moved = bytearray(las)
-    for place, by in (
-        (OFFSET_X, east),
-        (MAX_X, east),
-        (MIN_X, east),
-        (OFFSET_X + Y_AFTER_OFFSET, north),
-        (MAX_X + Y_AFTER_BOUNDS, north),
-        (MIN_X + Y_AFTER_BOUNDS, north),
-    ):
-        struct.pack_into("<d", moved, place, struct.unpack_from("<d", moved, place)[0] + by)
+    for x, to_y in ((OFFSET_X, 8), (MAX_X, 16), (MIN_X, 16)):
+        for place, by in ((x, east), (x + to_y, north)):
+            struct.pack_into("<d", moved, place, struct.unpack_from("<d", moved, place)[0] + by)
     return bytes(moved)
 
 
 @pytest.mark.slow
 def test_four_times_the_points_take_no_more_memory(tmp_path: Path) -> None:
-    subprocess.run([sys.executable, "-c", WARM], check=True)
+    subprocess.run([sys.executable, "-m", "cli.main", "warm", "classic"], check=True)
     one, many = tmp_path / "one", tmp_path / "many"
     make = [sys.executable, "-m", "cli.main", "simulate", str(one / "city.las"), "--size", str(SIDE_M), "-q"]
     subprocess.run(make, check=True)
@@ -77,11 +66,12 @@ def test_four_times_the_points_take_no_more_memory(tmp_path: Path) -> None:
     assert large["command"] <= small["command"] + (64 << 20)
     projected, allowed = large["plan"]["projected_memory_bytes"], large["plan"]["memory_bytes"]
     assert max(projected.values()) <= allowed
-    for what, stage in (
-        ("spool", "ingest"),
-        ("assemble", "ingest"),
-        ("filter0", "filter"),
-        ("grid-dtm", "grid"),
-        ("export", "export"),
-    ):
+    stages = {
+        "spool": "ingest",
+        "assemble": "ingest",
+        "filter0": "filter",
+        "grid-dtm": "grid",
+        "export": "export",
+    }
+    for what, stage in stages.items():
         assert large[what] <= projected[stage], what

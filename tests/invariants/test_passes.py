@@ -13,59 +13,40 @@ import pytest
 
 from ptd.frame import Cells, Scale, Window
 from ptd.methods import METHODS
-from ptd.passes import Method, MethodRefusal, Model, Pass, Points, State
+from ptd.passes import Measured, Method, MethodRefusal, Model, Pass, Points, State
 from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings, stored_labels
 from tests.ptd import medians
+from tests.ptd.medians import HIGH, LOW, Census, Split
 from tests.ptd.tiling import inside
 from tiler.errors import ConfigError
 from tiler.plan import make_plan, plan_json, plan_lines, projected_memory
 from tiler.plan.projection import overlap_of, widest_halo_m
 
-HIGH, LOW = 3, 4
 
+class MeanHeight(Census):
+    """The mean of all heights, told with the number of points; of some clouds it refuses."""
 
-class Measured(Model):
-    def __init__(self, z: np.ndarray) -> None:
-        self.stats, self.z = {}, z.astype(np.int64)
+    name = "mean"
 
-    def label(self, points: Points) -> Any:
-        raise NotImplementedError
-
-    def partial(self) -> dict[str, Any]:
-        return {"n": int(self.z.size), "sum": int(self.z.sum())}
-
-
-class MeanHeight(Pass):
-    name, every_point, gives_labels, reach_m = "mean", True, False, 0.0
-
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         assert points.labels is None
         assert window == core
         assert inside(points, core).all()
-        return Measured(points.xyz[2, inside(points, core)])
+        return super().fit(points, window, core, scale, state)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        found = list(partials)
-        n = sum(p["n"] for p in found)
         if state["run"]["sigma_m"] == 9:
             raise MethodRefusal("nine is too much")
-        return {**state, "mean": sum(p["sum"] for p in found) // n, "notes": [f"{n} points were seen"]}
-
-
-class Split(Model):
-    def __init__(self, mean: int) -> None:
-        self.stats, self.mean = {}, mean
-
-    def label(self, points: Points) -> Any:
-        return np.where(points.xyz[2] > self.mean, HIGH, LOW).astype(np.uint8), np.zeros(len(points), bool)
+        found = list(partials)
+        return {**super().reduce(found, state), "notes": [f"{sum(p['n'] for p in found)} points were seen"]}
 
 
 class SplitByMean(Pass):
     name = "split"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
-        return Split(state["mean"])
+        return Split(state["mean"], (HIGH, LOW))
 
 
 class Lonely(Model):
@@ -137,9 +118,8 @@ def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
 
     ours = plan(halo=None)
     assert [step.halo_m for step in ours.passes] == [0.0, 8.0, 8.0]
-    assert "method      lonely, 3 passes: mean (halo 0 m), split (halo 8 m), lonely (halo 8 m)" in plan_lines(
-        ours
-    )
+    line = "method      lonely, 3 passes: mean (halo 0 m), split (halo 8 m), lonely (halo 8 m)"
+    assert line in plan_lines(ours)
     assert plan_json(ours)["halos_m"] == {"mean": 0.0, "split": 8.0, "lonely": 8.0}
     assert overlap_of(ours, ours.steps) == pytest.approx(48**2 / 32**2)
     assert [widest_halo_m(ours, step) for step in ours.passes] == [0.0, 32.0, 8.0]
@@ -151,27 +131,18 @@ def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
     assert projected_memory(wider)["filter"] > projected_memory(ours)["filter"]
 
 
-class Wary(Model):
+class Wary(Measured):
     """Not certain with less than 20 m around its core."""
 
-    def __init__(self, beyond: int) -> None:
-        self.stats, self.beyond = {}, beyond
-
-    def label(self, points: Points) -> Any:
-        raise NotImplementedError
-
-    def partial(self) -> dict[str, Any]:
-        return {"beyond": self.beyond}
-
     def uncertain(self) -> int:
-        return int(self.beyond < 20_000)
+        return int(self.partial()["beyond"] < 20_000)
 
 
 class HowFar(Pass):
     name, gives_labels = "far", False
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
-        return Wary(min(core.west - window.west, core.south - window.south))
+        return Wary({"beyond": min(core.west - window.west, core.south - window.south)})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         return {**state, "mean": 0, "beyond": min(p["beyond"] for p in partials)}

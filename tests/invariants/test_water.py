@@ -14,7 +14,7 @@ from pyproj import Transformer
 
 from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings
-from tests.invariants.test_drawn import EAST, NORTH, digests, draw, ground, pixels, written
+from tests.scenes.drawings import EAST, NORTH, digests, draw, ground, pixels, written
 from tiler.core.products import WATER
 from tiler.errors import InputError
 from tiler.plan import make_plan
@@ -101,10 +101,8 @@ def test_a_lake_without_returns_is_found_and_contours_go_around_it(tmp_path: Pat
     dry = ~shapely.contains_xy(LAKE, *cloud.xyz[:, :2].T)
     dry |= np.random.default_rng(4).random(len(dry)) < 0.02
     path = written(tmp_path / "basin.laz", clouds.Cloud(cloud.xyz[dry], cloud.truth[dry]))
-    do(
-        path, tmp_path / "out", method="keep", water="auto", water_min_lake="150", products="dtm,contours",
-        contour_interval="0.25",
-    )  # fmt: skip
+    products = {"products": "dtm,contours", "contour_interval": "0.25"}
+    do(path, tmp_path / "out", method="keep", water="auto", water_min_lake="150", **products)
     heights = pixels(tmp_path / "out")
     y, x = np.mgrid[0:60, 0:60] + 0.5
     inner = shapely.contains_xy(LAKE.buffer(-2.5), x, y)
