@@ -9,6 +9,7 @@ from typing import Any
 from tiler.io.locations import location
 from tiler.plan import Plan, projected_memory
 from tiler.runs.cluster_check import Access
+from tiler.runs.worker import prepare
 from tiler.schedule import Executor, Limits, Machine, make_executor
 from tiler.store import store_exists
 
@@ -88,7 +89,9 @@ def _look_at_workers(
 
 def _executor(plan: Plan, scheduler: str | None) -> Executor:
     config, memory = plan.config, MEMORY_TIMES * plan.memory + MEMORY_MORE_BYTES
-    return make_executor(plan.workers, scheduler, config.in_process, Limits(memory, config.task_seconds))
+    return make_executor(
+        plan.workers, scheduler, config.in_process, Limits(memory, config.task_seconds, prepare)
+    )
 
 
 class Crew:

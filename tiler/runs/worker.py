@@ -11,6 +11,7 @@ from typing import Any
 
 import psutil
 
+from ptd.kernel import wide
 from tiler.errors import DamagedError, DiskFullError, TilerError
 from tiler.schedule import Outcome, Task
 from tiler.store import open_store
@@ -43,6 +44,11 @@ def _give_back() -> None:
     with suppress(OSError, AttributeError, TypeError):  # of glibc alone
         library: Any = ctypes.CDLL(None)
         library.malloc_trim(0)
+
+
+def prepare() -> None:
+    """What each worker would do by itself: the first kernel that is called loads most of numba."""
+    wide(0)
 
 
 def perform(store_url: str, task: Task) -> Outcome:

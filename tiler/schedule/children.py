@@ -86,7 +86,7 @@ class Children:
         """A child that waits and has the same limit, or a new one."""
         with self._lock:
             others, self._idle = self._idle, []
-            guard = Guard(run.limits.memory_bytes)
+            guard = Guard(run.limits.memory_bytes, run.limits.prepare)
             while others:
                 other = others.pop()
                 if other.memory_bytes == guard.memory_bytes:

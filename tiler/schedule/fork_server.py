@@ -109,10 +109,10 @@ _server: _Server | None = None
 _kept = 0
 
 
-def fork_child(memory_bytes: int | None, call: bytes) -> ForkedChild:
-    """A child that may allocate so much, whose first call is this one: its modules are imported before the fork."""
+def fork_child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
+    """A child that may allocate so much; the modules of its first call are imported, and ``prepare`` called, before."""
     global _server
-    request = pickle.dumps((memory_bytes, call))
+    request = pickle.dumps((memory_bytes, call, pickle.dumps(prepare)))
     with _lock:
         setting = (dict(os.environ), trusted_path(), _folder())
         old = _server
@@ -219,9 +219,11 @@ def _request(door: socket.socket) -> tuple[int | None, int, int, socket.socket] 
         if not (part := door.recv(length - len(request))):
             return None
         request += part
-    memory_bytes, call = pickle.loads(request)  # of the process that started this one
+    memory_bytes, call, prepare = pickle.loads(request)  # of the process that started this one
     with suppress(BaseException):  # the child meets it again, and says so
         pickle.loads(call)
+        if (preparation := pickle.loads(prepare)) is not None:
+            preparation()
     gc.freeze()  # what is shared is not written to
     return memory_bytes, files[0], files[1], socket.socket(fileno=files[2])
 

@@ -49,10 +49,14 @@ class Guard:
     ----------
     memory_bytes : int or None
         What the child may allocate, where the system can limit that (`limits_memory`); None: anything.
+    prepare : callable, optional
+        Of a module; called by the process that children are forked from, before it forks: what it does costs once.
     """
 
-    def __init__(self, memory_bytes: int | None = MEMORY_BYTES) -> None:
-        self.memory_bytes = memory_bytes
+    def __init__(
+        self, memory_bytes: int | None = MEMORY_BYTES, prepare: Callable[[], None] | None = None
+    ) -> None:
+        self.memory_bytes, self.prepare = memory_bytes, prepare
         self.killed = False
         self._child: _Child | None = None
         self._began = 0.0
@@ -94,7 +98,7 @@ class Guard:
         """Let the child begin with a call."""
         call = pickle.dumps((function, arguments, seconds))
         if self._child is None:
-            self._child = _child(self.memory_bytes, call)
+            self._child = _child(self.memory_bytes, call, self.prepare)
         if self.killed:
             self._child.kill()  # it was not there yet when it was to be
         self._began, self._seconds = time.monotonic(), seconds
@@ -146,12 +150,12 @@ class Guard:
             return child.wait()
 
 
-def _child(memory_bytes: int | None, call: bytes) -> _Child:
+def _child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> _Child:
     """Start a child that imports from where this process does, and never from the current folder (``-P``)."""
     if not sys.executable:
         raise ConfigError("no workers can start: Python does not know its own program (sys.executable)")
     if FORKS:
-        return fork_child(memory_bytes, call)
+        return fork_child(memory_bytes, call, prepare)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
     limit = [] if memory_bytes is None else [str(memory_bytes)]
     return subprocess.Popen(

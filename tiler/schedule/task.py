@@ -96,10 +96,13 @@ class Limits:
         That a worker of this machine may allocate; None: anything.
     seconds : float
         That a task of a million points may take, as may smaller ones; larger ones in proportion.
+    prepare : callable, optional
+        See `tiler.schedule.Guard`.
     """
 
     memory_bytes: int | None = None
     seconds: float = 600.0
+    prepare: Callable[[], None] | None = None
 
     def seconds_of(self, task: Task) -> float:
         """After which the worker of a task is taken for hung."""
