@@ -60,6 +60,15 @@ def progress_record(
     return cast(Progress, stored({**record, "message": message, "level": level}))
 
 
+def message_of(event: str, fields: dict[str, Any]) -> tuple[str, str] | None:
+    """Text and level of a note, a warning or a task that failed; None for other events."""
+    if event in ("note", "warning"):
+        return str(fields["text"]), "info" if event == "note" else "warning"
+    if event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
+        return f"{fields.get('title', fields['stage'])} {fields['key']} failed: {fields['error']}", "warning"
+    return None
+
+
 def json_line(message: str | None = None, level: str = "info") -> str:
     """A line of ``--progress json`` that tells a message alone, without its end."""
     return json.dumps(progress_record(message, level))
@@ -89,11 +98,9 @@ class ProgressRecords:
         """Take in an event, and tell of it if it says something new."""
         at_work = self._job.stage
         self._job(event, fields)
-        if event in ("note", "warning"):
-            self._record(str(fields["text"]), "info" if event == "note" else "warning")
-        elif event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
-            name = fields.get("title", fields["stage"])
-            self._record(f"{name} {fields['key']} failed: {fields['error']}", "warning")
+        message = message_of(event, fields)
+        if message is not None:
+            self._record(*message)
         elif event == "stage_started":
             self._record()
         elif event == "stage_finished" and at_work is not None:

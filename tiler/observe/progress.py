@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import IO, Any
 
 from tiler.observe.events import Listener
-from tiler.observe.json_lines import TOLD_BY_FILE, JsonLines
+from tiler.observe.json_lines import JsonLines, message_of
 from tiler.observe.whole_job import StageState, WholeJob
 from tiler.redaction import shown
 
@@ -49,10 +49,10 @@ def duration_text(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
 
 
-class _PlainLines:
-    """A listener that writes a line when a stage begins and ends, and one now and then between."""
+class PlainLines:
+    """A listener that writes a line when a stage begins and ends, and one now and then between: for logs and CI."""
 
-    def __init__(self, stream: IO[str], clock: Callable[[], float]) -> None:
+    def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic) -> None:
         self._stream, self._clock = stream, clock
         self._job = WholeJob(clock)
         self._last_line = clock()
@@ -62,9 +62,10 @@ class _PlainLines:
         self._last_line = self._clock()
 
     def __call__(self, event: str, fields: dict[str, Any]) -> None:
+        """Take in an event."""
         stage = self._job.stage
         self._job(event, fields)
-        text = trouble_text(event, fields)
+        text = message_text(event, fields)
         if text is not None:
             self._write(text)
         elif event == "stage_started" and self._job.stage is not None:
@@ -87,15 +88,10 @@ class _PlainLines:
         return ", ".join(p for p in parts if p)
 
 
-def trouble_text(event: str, fields: dict[str, Any]) -> str | None:
+def message_text(event: str, fields: dict[str, Any]) -> str | None:
     """The line of a note, a warning or a task that failed; None for other events."""
-    if event == "note":
-        return str(fields["text"])
-    if event == "warning":
-        return f"warning: {fields['text']}"
-    if event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
-        return f"warning: {fields.get('title', fields['stage'])} {fields['key']} failed: {fields['error']}"
-    return None
+    text, level = message_of(event, fields) or (None, "")
+    return f"warning: {text}" if level == "warning" else text
 
 
 def start_text(stage: StageState) -> str:
@@ -107,12 +103,6 @@ def start_text(stage: StageState) -> str:
     points = f", {count_text(stage.points)} points" if stage.points else ""
     todo = stage.tasks - stage.before
     return f"{todo} task{'' if todo == 1 else 's'}{points}{before}"
-
-
-@contextmanager
-def plain_progress(stream: IO[str], clock: Callable[[], float] = time.monotonic) -> Iterator[Listener]:
-    """A listener that writes lines: what a log file or a CI job can show."""
-    yield _PlainLines(stream, clock)
 
 
 @contextmanager
@@ -149,7 +139,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
         def listen(event: str, fields: dict[str, Any]) -> None:
             before = job.stage
             job(event, fields)
-            stage, text = job.stage, trouble_text(event, fields)
+            stage, text = job.stage, message_text(event, fields)
             if text is not None:
                 bars.console.print(shown(text), markup=False, highlight=False)
             elif event == "stage_started" and stage is not None:
@@ -186,14 +176,12 @@ def open_progress(stream: IO[str], quiet: bool = False, form: str = "auto") -> I
     if form == "json":
         yield _only(JsonLines(stream), *TROUBLE) if quiet else JsonLines(stream)
     elif quiet or form == "none":
-        with plain_progress(stream) as listener:
-            yield _only(listener, *TROUBLE, *(() if quiet else ("note",)))
+        yield _only(PlainLines(stream), *TROUBLE, *(() if quiet else ("note",)))
     elif form == "auto" and stream.isatty():
         with bar_progress(stream) as listener:
             yield listener
     else:
-        with plain_progress(stream) as listener:
-            yield listener
+        yield PlainLines(stream)
 
 
 def _only(listener: Listener, *names: str) -> Listener:

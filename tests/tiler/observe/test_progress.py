@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from tiler.observe.events import combine
 from tiler.observe.progress import (
+    PlainLines,
     bar_progress,
     count_text,
     duration_text,
     open_progress,
-    plain_progress,
     rate_text,
     size_text,
 )
@@ -45,19 +46,18 @@ def task(key: str, points: int = 1_000_000) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("count", "text"),
-    [(0, "0"), (870, "870"), (1_000, "1.0 k"), (12_345, "12.3 k"), (10_653_336, "10.7 M"), (2.5e9, "2.5 G")],
+    ("text_of", "texts"),
+    [
+        (
+            count_text,
+            {0: "0", 870: "870", 1_000: "1.0 k", 12_345: "12.3 k", 10_653_336: "10.7 M", 2.5e9: "2.5 G"},
+        ),
+        (duration_text, {4.23: "4.2 s", 59.9: "59.9 s", 60: "1:00 min", 205: "3:25 min", 3727: "1:02:07 h"}),
+        (size_text, {10: "10 bytes", 1536: "1.5 KiB", 3 << 30: "3.0 GiB"}),
+    ],
 )
-def test_counts_are_short(count: float, text: str) -> None:
-    assert count_text(count) == text
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(4.23, "4.2 s"), (59.9, "59.9 s"), (60, "1:00 min"), (205, "3:25 min"), (3727, "1:02:07 h")],
-)
-def test_durations_are_short(seconds: float, text: str) -> None:
-    assert duration_text(seconds) == text
+def test_figures_are_short(text_of: Callable[[float], str], texts: dict[float, str]) -> None:
+    assert {value: text_of(value) for value in texts} == texts
 
 
 def test_no_rate_without_points_or_time() -> None:
@@ -67,14 +67,14 @@ def test_no_rate_without_points_or_time() -> None:
 
 def test_plain_lines_at_begin_and_end_and_now_and_then() -> None:
     stream, clock = io.StringIO(), Clock()
-    with plain_progress(stream, clock) as listen:
-        listen("stage_started", STARTED)
-        clock.now += 5
-        listen("task_done", task("a"))
-        clock.now += 15
-        listen("task_done", task("b"))
-        clock.now += 20
-        listen("stage_finished", {"stage": "filter", "seconds": 40.0})
+    listen = PlainLines(stream, clock)
+    listen("stage_started", STARTED)
+    clock.now += 5
+    listen("task_done", task("a"))
+    clock.now += 15
+    listen("task_done", task("b"))
+    clock.now += 20
+    listen("stage_finished", {"stage": "filter", "seconds": 40.0})
     assert stream.getvalue().splitlines() == [
         "filter: 4 tasks, 4.0 M points",
         "filter: 50%, 100.0 k points/s, about 20.0 s left",
@@ -82,19 +82,20 @@ def test_plain_lines_at_begin_and_end_and_now_and_then() -> None:
     ]
 
 
-def test_a_stage_that_was_done_before_says_so() -> None:
+@pytest.mark.parametrize(
+    ("done", "text"),
+    [
+        (9, "grid: nothing to do, all 9 tasks were done before\n"),
+        (6, "grid: 3 tasks, 10 points (6 of 9 were done before)\n"),
+    ],
+)
+def test_a_stage_that_was_begun_before_says_so(done: int, text: str) -> None:
     stream = io.StringIO()
-    with plain_progress(stream) as listen:
-        listen("stage_started", {"stage": "grid", "tasks": 9, "points": 0, "done": 9})
+    listen = PlainLines(stream)
+    listen("stage_started", {"stage": "grid", "tasks": 9, "points": 10, "done": done})
+    if done == 9:
         listen("stage_finished", {"stage": "grid", "seconds": 0.01})
-    assert stream.getvalue() == "grid: nothing to do, all 9 tasks were done before\n"
-
-
-def test_resumed_stage_counts_what_is_left() -> None:
-    stream = io.StringIO()
-    with plain_progress(stream) as listen:
-        listen("stage_started", {"stage": "grid", "tasks": 9, "points": 10, "done": 6})
-    assert stream.getvalue() == "grid: 3 tasks, 10 points (6 of 9 were done before)\n"
+    assert stream.getvalue() == text
 
 
 def test_quiet_shows_only_trouble() -> None:
@@ -135,11 +136,6 @@ def test_combined_listeners_hear_everything_in_order() -> None:
     listen("note", {})
     listen("warning", {})
     assert heard == [(1, "note"), (2, "note"), (1, "warning"), (2, "warning")]
-
-
-@pytest.mark.parametrize(("size", "text"), [(10, "10 bytes"), (1536, "1.5 KiB"), (3 << 30, "3.0 GiB")])
-def test_sizes(size: int, text: str) -> None:
-    assert size_text(size) == text
 
 
 def test_a_file_that_fails_is_told_as_a_file(capsys: pytest.CaptureFixture[str]) -> None:

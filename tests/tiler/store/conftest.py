@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -37,6 +36,12 @@ def store_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 @pytest.fixture
+def store(store_url: str, meta: StoreMeta) -> TileStore:
+    """A new store of either kind."""
+    return create_store(store_url, meta)
+
+
+@pytest.fixture
 def local_store(tmp_path: Path) -> TileStore:
     """A new store in a folder."""
     return create_store(str(tmp_path / "store.zarr"), META)
@@ -57,12 +62,6 @@ def make_points(x: np.ndarray, y: np.ndarray, has_rgb: bool = True, seed: int = 
     )
 
 
-@pytest.fixture
-def points() -> Callable[..., PointBlock]:
-    """`make_points`."""
-    return make_points
-
-
 def put_points(store: TileStore, block: PointBlock, candidates: float = 0.4) -> dict[Cell, BucketInfo]:
     """Write and publish points as ingest does; a share of each bucket counts as candidates."""
     x, y = (block.xyz[i].astype(np.int64) + store.meta.frame.origin[i] for i in (0, 1))
@@ -77,12 +76,6 @@ def put_points(store: TileStore, block: PointBlock, candidates: float = 0.4) -> 
     }
     store.publish_index(infos)
     return infos
-
-
-@pytest.fixture
-def put() -> Callable[..., dict[Cell, BucketInfo]]:
-    """`put_points`."""
-    return put_points
 
 
 @pytest.fixture

@@ -11,8 +11,7 @@ from tiler.store import StoreMeta, TileStore, create_store, open_store
 
 
 @pytest.fixture(params=[False, True], ids=["single", "packed"])
-def store(request: pytest.FixtureRequest, store_url: str, meta: StoreMeta) -> TileStore:
-    store = create_store(store_url, meta)
+def store(request: pytest.FixtureRequest, store: TileStore) -> TileStore:
     store.commit("filter", "+1-2", "aa", {"n": 1, "nested": {"x": [1.5, None]}})
     store.commit("filter", "b.c", "bb", {})
     store.commit("grid", "+1-2", "cc", {"other": True})

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.tiler.store.conftest import make_points
 from tiler.core.lattice import Bounds
-from tiler.core.points import PointBlock
 from tiler.core.raster import Block
 from tiler.errors import DiskFullError, ProcessingError, StoreError
 from tiler.store import TileStore, open_store
@@ -51,30 +51,26 @@ def damage(request: pytest.FixtureRequest) -> Callable[[Path], None]:
     return apply
 
 
-@pytest.mark.parametrize("column", list(COLUMNS))
-def test_a_damaged_chunk_of_points_is_an_error(
-    filled: TileStore, damage: Callable[[Path], None], column: str
-) -> None:
-    damage(Path(filled.url, "points", column, "c", "2", "0", "0"))
-    with pytest.raises(StoreError):
-        open_store(filled.url).window(EVERYWHERE, (COLUMNS[column],))
+ARRAYS: dict[str, tuple[str, Callable[[TileStore], object]]] = {
+    **{
+        c: (f"points/{c}/c/2/0/0", lambda s, f=field: s.window(EVERYWHERE, (f,)))
+        for c, field in COLUMNS.items()
+    },
+    "labels": ("labels/p/c/0/0/0", lambda store: store.read_labels("p", next(iter(store.buckets())))),
+    "spool": ("spool/a/c/0/0", lambda store: store.read_fragment("a", 10, 20)),
+}
+"""A chunk of each kind of array, and what reads it."""
 
 
-def test_a_damaged_chunk_of_labels_is_an_error(filled: TileStore, damage: Callable[[Path], None]) -> None:
+@pytest.mark.parametrize("kind", list(ARRAYS))
+def test_a_damaged_chunk_is_an_error(filled: TileStore, damage: Callable[[Path], None], kind: str) -> None:
     cell, info = next(iter(filled.buckets().items()))
     filled.write_labels("p", cell, np.zeros(info.n, np.uint8))
-    damage(Path(filled.url, "labels", "p", "c", "0", "0", "0"))
+    filled.write_piece("a", make_points(np.arange(100), np.arange(100)), [(0, 0, 100)])
+    chunk, read = ARRAYS[kind]
+    damage(Path(filled.url, chunk))
     with pytest.raises(StoreError):
-        filled.read_labels("p", cell)
-
-
-def test_a_damaged_spool_is_an_error(
-    local_store: TileStore, damage: Callable[[Path], None], points: Callable[..., PointBlock]
-) -> None:
-    local_store.write_piece("a", points(np.arange(100), np.arange(100)), [(0, 0, 100)])
-    damage(Path(local_store.url, "spool", "a", "c", "0", "0"))
-    with pytest.raises(StoreError):
-        local_store.read_fragment("a", 10, 20)
+        read(open_store(filled.url))
 
 
 def test_a_damaged_raster_is_an_error(local_store: TileStore, damage: Callable[[Path], None]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -10,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.tiler.store.conftest import make_points
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.points import PointBlock
 from tiler.errors import StoreError
 from tiler.store import BucketInfo, TileStore, open_store
 from tiler.store.index import BucketIndex
@@ -19,7 +18,6 @@ from tiler.store.layout import ROW_POINTS
 
 cells = st.builds(Cell, st.integers(-5, 5), st.integers(-5, 5))
 requests = st.lists(st.dictionaries(cells, st.integers(0, 350), max_size=20), min_size=1, max_size=4)
-Points = Callable[..., PointBlock]
 
 
 @given(requests)
@@ -77,9 +75,7 @@ def test_overlapping_buckets_are_those_whose_bounds_overlap(
     assert found == sorted(found, key=lambda c: (c.iy, c.ix))
 
 
-def test_a_bucket_that_outgrew_its_rows_is_written_anew_and_others_stay(
-    filled: TileStore, points: Points
-) -> None:
+def test_a_bucket_that_outgrew_its_rows_is_written_anew_and_others_stay(filled: TileStore) -> None:
     infos = filled.buckets()
     cell, other = list(infos)[:2]
     filled.write_labels("p", other, np.full(infos[other].n, 7, np.uint8))
@@ -91,7 +87,7 @@ def test_a_bucket_that_outgrew_its_rows_is_written_anew_and_others_stay(
     assert cell not in filled.buckets()
     assert filled.usage().objects == objects - 4  # the four columns of the bucket that moved
     x0, y0 = (filled.meta.bucket.first(i) for i in (cell.ix, cell.iy))
-    grown = points(np.full(ROW_POINTS + 1, x0), np.full(ROW_POINTS + 1, y0))
+    grown = make_points(np.full(ROW_POINTS + 1, x0), np.full(ROW_POINTS + 1, y0))
     filled.publish_index({**infos, cell: filled.write_bucket(cell, grown, 1)})
     assert np.array_equal(filled.read_bucket(cell).xyz, grown.xyz)
     assert np.array_equal(filled.read_bucket(other, ("origin",)).origin, kept)

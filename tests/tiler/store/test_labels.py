@@ -2,41 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
+from tests.tiler.store.conftest import make_points, put_points
 from tiler.core.lattice import Cell
-from tiler.core.points import PointBlock
 from tiler.errors import StoreError
-from tiler.store import StoreMeta, TileStore, create_store, open_store
+from tiler.store import TileStore, open_store
 from tiler.store.layout import ROW_POINTS
 
 
-def test_labels_come_back_and_passes_do_not_mix(
-    store_url: str, meta: StoreMeta, points: Callable[..., PointBlock], put: Callable[..., object]
-) -> None:
-    store = create_store(store_url, meta)
+def test_labels_come_back_and_passes_do_not_mix(store: TileStore) -> None:
     rng = np.random.default_rng(3)
-    put(store, points(*rng.integers(-5000, 5000, (2, 500))))
+    put_points(store, make_points(*rng.integers(-5000, 5000, (2, 500))))
     written = {}
     for name in ("first", "second"):
         for cell, info in store.buckets().items():
             written[name, cell] = rng.integers(0, 256, info.n).astype(np.uint8)
             store.write_labels(name, cell, written[name, cell])
-    reader = open_store(store_url)
+    reader = open_store(store.url)
     for (name, cell), labels in written.items():
         found = reader.read_labels(name, cell)
         assert found.dtype == np.uint8
         assert np.array_equal(found, labels)
 
 
-def test_labels_of_several_rows_come_back(local_store: TileStore, points: Callable[..., PointBlock]) -> None:
+def test_labels_of_several_rows_come_back(local_store: TileStore) -> None:
     n = ROW_POINTS + 3
     local_store.allocate({Cell(0, 0): n})
     local_store.publish_index(
-        {Cell(0, 0): local_store.write_bucket(Cell(0, 0), points(*np.zeros((2, n), int)), 0)}
+        {Cell(0, 0): local_store.write_bucket(Cell(0, 0), make_points(*np.zeros((2, n), int)), 0)}
     )
     labels = np.arange(n).astype(np.uint8)
     local_store.write_labels("p", Cell(0, 0), labels)

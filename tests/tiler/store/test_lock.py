@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from tiler.errors import LockedError
-from tiler.store import StoreMeta, create_store, lock, locked_folder, open_store, remove_store
+from tiler.store import StoreMeta, TileStore, create_store, lock, locked_folder, open_store, remove_store
 from tiler.store.layout import LOCK_KEY
 from tiler.store.storage import Storage
 
@@ -32,33 +32,19 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 def lease(**changes: Any) -> dict[str, Any]:
     me = psutil.Process()
     now = time.time()
-    body = {
-        "token": "x",
-        **lock._here(),
-        "pid": me.pid,
-        "started": lock._start_of(me.pid),
-        "since": now,
-    }
-    return {**body, "renewed": now, **changes}
+    started = lock._start_of(me.pid)
+    body = {"token": "x", **lock._here(), "pid": me.pid, "started": started, "since": now, "renewed": now}
+    return {**body, **changes}
 
 
-def test_the_lock_excludes_a_second_holder_by_name(store_url: str, meta: StoreMeta) -> None:
-    store = create_store(store_url, meta)
+def test_the_lock_excludes_a_second_holder_by_name(store: TileStore) -> None:
     with store.lock() as held:
         held.check()
-        with (
-            pytest.raises(LockedError, match=rf"in use by process {os.getpid()} on {socket.gethostname()}"),
-            open_store(store_url).lock(),
-        ):
+        holder = rf"in use by process {os.getpid()} on {socket.gethostname()}"
+        with pytest.raises(LockedError, match=holder), open_store(store.url).lock():
             pass
         held.check()
-    with store.lock():
-        pass
-    assert Storage(store_url).get(LOCK_KEY) is None
-
-
-def test_an_error_inside_releases_the_lock(store_url: str, meta: StoreMeta) -> None:
-    store = create_store(store_url, meta)
+    assert Storage(store.url).get(LOCK_KEY) is None
     with pytest.raises(ZeroDivisionError), store.lock():
         _ = 1 / 0
     with store.lock():
@@ -75,27 +61,24 @@ def test_an_error_inside_releases_the_lock(store_url: str, meta: StoreMeta) -> N
     ],
     ids=["not renewed", "from the future", "no such process", "number of another process"],
 )
-def test_a_stale_lease_is_taken_over(store_url: str, meta: StoreMeta, changes: dict[str, Any]) -> None:
-    store = create_store(store_url, meta)
-    Storage(store_url).put_json(LOCK_KEY, lease(**changes))
+def test_a_stale_lease_is_taken_over(store: TileStore, changes: dict[str, Any]) -> None:
+    Storage(store.url).put_json(LOCK_KEY, lease(**changes))
     with store.lock() as held:
         held.check()
 
 
-def test_a_damaged_lease_is_taken_over(store_url: str, meta: StoreMeta) -> None:
-    store = create_store(store_url, meta)
-    Storage(store_url).put(LOCK_KEY, b'{"crc')
+def test_a_damaged_lease_is_taken_over(store: TileStore) -> None:
+    Storage(store.url).put(LOCK_KEY, b'{"crc')
     with store.lock() as held:
         held.check()
 
 
-def test_a_lease_of_another_host_holds_while_it_is_renewed(store_url: str, meta: StoreMeta) -> None:
-    store = create_store(store_url, meta)
-    Storage(store_url).put_json(LOCK_KEY, lease(host="elsewhere", pid=2**22 + 1))
+def test_a_lease_of_another_host_holds_while_it_is_renewed(store: TileStore) -> None:
+    Storage(store.url).put_json(LOCK_KEY, lease(host="elsewhere", pid=2**22 + 1))
     with pytest.raises(LockedError, match="on elsewhere"), store.lock():
         pass
     with pytest.raises(LockedError, match="on elsewhere"):
-        remove_store(store_url)
+        remove_store(store.url)
 
 
 def test_a_held_lease_is_renewed_and_a_lost_one_noticed(
@@ -130,10 +113,9 @@ def test_the_lock_of_a_killed_run_is_free_at_once(tmp_path: Path, meta: StoreMet
         held.check()
 
 
-def test_the_store_can_be_removed_by_its_holder(store_url: str, meta: StoreMeta) -> None:
-    store = create_store(store_url, meta)
+def test_the_store_can_be_removed_by_its_holder(store: TileStore) -> None:
     with store.lock():
-        remove_store(store_url)
+        remove_store(store.url)
     assert store.usage().objects == 0
 
 
@@ -165,18 +147,13 @@ def test_a_lease_of_a_host_with_another_clock_holds_while_it_is_renewed(
 
 
 @pytest.mark.parametrize("other", [{"pid_namespace": "pid:[1]"}, {"boot": "another"}])
-def test_a_process_number_of_another_container_says_nothing(
-    other: dict[str, Any], store_url: str, meta: StoreMeta
-) -> None:
+def test_a_process_number_of_another_container_says_nothing(other: dict[str, Any], store: TileStore) -> None:
     """Containers of one machine may have one name: no such process here is no word on the one there."""
-    store = create_store(store_url, meta)
-    Storage(store_url).put_json(LOCK_KEY, lease(pid=2**22 + 1, **other))
-    with (
-        pytest.raises(LockedError, match=r"wait for it, or stop it; if it was killed, its lease ends 120 s"),
-        store.lock(),
-    ):
+    Storage(store.url).put_json(LOCK_KEY, lease(pid=2**22 + 1, **other))
+    remedy = r"wait for it, or stop it; if it was killed, its lease ends 120 s"
+    with pytest.raises(LockedError, match=remedy), store.lock():
         pass
-    Storage(store_url).put_json(LOCK_KEY, lease(pid=2**22 + 1, renewed=time.time() - 1000, **other))
+    Storage(store.url).put_json(LOCK_KEY, lease(pid=2**22 + 1, renewed=time.time() - 1000, **other))
     with store.lock() as held:
         held.check()
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import zarr
 
+from tests.tiler.store.conftest import make_points
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import PointBlock
@@ -67,10 +68,9 @@ def test_a_file_url_is_a_local_path(tmp_path: Path, meta: StoreMeta) -> None:
     assert open_store(str(tmp_path / "s")).meta == meta
 
 
-@pytest.mark.parametrize("url", ["nosuchscheme://x/y"])
-def test_an_address_that_nothing_opens_is_refused(url: str) -> None:
+def test_an_address_that_nothing_opens_is_refused() -> None:
     with pytest.raises(ConfigError, match="cannot be opened"):
-        open_store(url)
+        open_store("nosuchscheme://x/y")
 
 
 def test_other_content_is_neither_used_nor_deleted(tmp_path: Path, meta: StoreMeta) -> None:
@@ -117,16 +117,10 @@ def test_a_damaged_description_is_refused(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            lambda d: d["codecs"].append({"name": "numcodecs.pickle"}),
-            r"codec numcodecs\.pickle is not allowed",
-        ),
+        (lambda d: d["codecs"].append({"name": "pickle"}), "codec pickle is not allowed"),
         (lambda d: d["codecs"].insert(0, {"name": "transpose"}), "codec transpose is not allowed"),
         (lambda d: d.update(data_type="float64"), "not an array that this version writes"),
-        (
-            lambda d: d["chunk_grid"]["configuration"].update(chunk_shape=[1, 3, 9]),
-            "not an array that this version",
-        ),
+        (lambda d: d["chunk_grid"]["configuration"].update(chunk_shape=[1, 3, 9]), "not an array that this"),
         (lambda d: d.update(storage_transformers=[{"name": "x"}]), "not an array that this version writes"),
         (lambda d: d.pop("codecs"), "metadata are damaged"),
         (lambda d: d.update(codecs="blosc"), "metadata are damaged"),
@@ -161,15 +155,8 @@ def test_a_file_is_no_place_for_a_store(tmp_path: Path, meta: StoreMeta) -> None
 
 def test_only_what_is_the_stores_own_is_removed(filled: TileStore) -> None:
     root = Path(filled.url)
-    mine = [
-        "notes.txt",
-        "points/notes.txt",
-        "points/xyz/c/0/notes",
-        "state/notes.md",
-        "clouds/a.laz",
-        "a.partial",
-    ]
-    mine += ["spool/s0/a.laz", "commits/filter0/notes.txt"]
+    mine = ["notes.txt", "points/notes.txt", "points/xyz/c/0/notes", "state/notes.md", "clouds/a.laz"]
+    mine += ["a.partial", "spool/s0/a.laz", "commits/filter0/notes.txt"]
     for name in mine:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text("mine")
@@ -189,15 +176,7 @@ def test_only_what_is_the_stores_own_is_removed(filled: TileStore) -> None:
 
 
 def _no_points() -> PointBlock:
-    none = np.empty(0, np.uint8)
-    return PointBlock(
-        np.empty((3, 0), np.int32),
-        none,
-        none,
-        np.empty((2, 0), np.uint8),
-        np.empty((3, 0), np.uint16),
-        np.empty(0, np.int64),
-    )
+    return make_points(*np.empty((2, 0), np.int64))
 
 
 def test_a_store_that_is_begun_anew_keeps_what_others_put_there(store_url: str, meta: StoreMeta) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable
 from dataclasses import fields
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.tiler.store.conftest import make_points, put_points
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.errors import ConfigError, StoreError
@@ -18,8 +18,6 @@ from tiler.store import BucketInfo, StoreMeta, TileStore, create_store, open_sto
 from tiler.store.layout import ROW_POINTS
 
 FIELDS = tuple(f.name for f in fields(PointBlock) if f.name != "labels")
-Points = Callable[..., PointBlock]
-Put = Callable[..., dict[Cell, BucketInfo]]
 
 coordinates = st.integers(-9_000, 9_000)
 # Coordinates near the lines between buckets (at multiples of 10000/3) are where a point could be lost.
@@ -44,13 +42,11 @@ def test_a_window_holds_the_points_inside_each_once(
     corners: tuple[int, int, int, int],
     candidates_only: bool,
     meta: StoreMeta,
-    points: Points,
-    put: Put,
 ) -> None:
     x, y = np.array(where, dtype=np.int64).reshape(-1, 2).T
-    block = points(x, y)
+    block = make_points(x, y)
     store = create_store(f"memory://{uuid.uuid4().hex}", meta)
-    infos = put(store, block)
+    infos = put_points(store, block)
     bounds = Bounds(*corners)
 
     places: dict[Cell, slice] = {}
@@ -70,13 +66,12 @@ def test_a_window_holds_the_points_inside_each_once(
         assert sorted(found.origin.tolist()) == sorted(inside.origin.tolist())  # type: ignore[union-attr]
 
 
-def test_every_column_and_dtype_comes_back(store_url: str, meta: StoreMeta, points: Points) -> None:
-    store = create_store(store_url, meta)
-    block = points(np.arange(1000), np.arange(1000, 2000))
+def test_every_column_and_dtype_comes_back(store: TileStore) -> None:
+    block = make_points(np.arange(1000), np.arange(1000, 2000))
     store.allocate({Cell(0, 0): 1000})
     store.publish_index({Cell(0, 0): store.write_bucket(Cell(0, 0), block, 300)})
 
-    read = open_store(store_url)
+    read = open_store(store.url)
     assert read.buckets() == {Cell(0, 0): BucketInfo(1000, 300)}
     assert same(read.read_bucket(Cell(0, 0), FIELDS), block)
     assert same(read.read_bucket(Cell(0, 0), FIELDS, candidates_only=True), block.take(slice(0, 300)))
@@ -88,13 +83,13 @@ def test_only_the_columns_asked_for_are_read(filled: TileStore) -> None:
     assert [n for n in FIELDS if getattr(block, n) is not None] == ["xyz", "flags", "origin"]
 
 
-def test_a_bucket_of_several_rows_comes_back(local_store: TileStore, points: Points) -> None:
+def test_a_bucket_of_several_rows_comes_back(local_store: TileStore) -> None:
     n = 2 * ROW_POINTS + 5
     rng = np.random.default_rng(1)
-    block = points(*rng.integers(0, 3333, (2, n)))
+    block = make_points(*rng.integers(0, 3333, (2, n)))
     local_store.allocate({Cell(0, 0): n, Cell(1, 0): 1})
     infos = {Cell(0, 0): local_store.write_bucket(Cell(0, 0), block, ROW_POINTS + 1)}
-    infos[Cell(1, 0)] = local_store.write_bucket(Cell(1, 0), points(np.array([3334]), np.array([0])), 0)
+    infos[Cell(1, 0)] = local_store.write_bucket(Cell(1, 0), make_points(np.array([3334]), np.array([0])), 0)
     local_store.publish_index(infos)
 
     assert same(local_store.read_bucket(Cell(0, 0), FIELDS), block)
@@ -107,22 +102,22 @@ def test_a_bucket_of_several_rows_comes_back(local_store: TileStore, points: Poi
     assert same(window.take(slice(0, len(inside))), inside)
 
 
-def test_an_empty_bucket_and_an_empty_store(local_store: TileStore, points: Points) -> None:
+def test_an_empty_bucket_and_an_empty_store(local_store: TileStore) -> None:
     everywhere = Bounds(-(10**6), -(10**6), 10**6, 10**6)
     local_store.allocate({})
     assert local_store.buckets() == {}
     assert len(local_store.window(everywhere, FIELDS)) == 0
 
-    nothing = points(np.empty(0, np.int64), np.empty(0, np.int64))
+    nothing = make_points(np.empty(0, np.int64), np.empty(0, np.int64))
     local_store.allocate({Cell(3, 3): 0})
     local_store.publish_index({Cell(3, 3): local_store.write_bucket(Cell(3, 3), nothing, 0)})
     assert same(local_store.read_bucket(Cell(3, 3), FIELDS), nothing)
     assert same(local_store.window(everywhere, FIELDS), nothing)
 
 
-def test_a_store_without_colours_has_none(tmp_path: str, meta: StoreMeta, points: Points, put: Put) -> None:
+def test_a_store_without_colours_has_none(tmp_path: str, meta: StoreMeta) -> None:
     store = create_store(f"{tmp_path}/s", StoreMeta(meta.frame, meta.bucket, meta.fine, has_rgb=False))
-    put(store, points(np.arange(9), np.arange(9), has_rgb=False))
+    put_points(store, make_points(np.arange(9), np.arange(9), has_rgb=False))
     block = store.read_bucket(Cell(0, 0), FIELDS)
     assert block.rgb is None
     assert len(block) == 9
@@ -144,20 +139,18 @@ def test_an_unknown_column_is_refused(filled: TileStore) -> None:
     ],
 )
 def test_a_bucket_that_cannot_be_right_is_refused(
-    local_store: TileStore, points: Points, x: list[int], candidates: int, drop: str | None, message: str
+    local_store: TileStore, x: list[int], candidates: int, drop: str | None, message: str
 ) -> None:
     local_store.allocate({Cell(0, 0): 0 if len(x) > 1 else 1})
-    block = points(np.array(x), np.zeros(len(x), np.int64))
+    block = make_points(np.array(x), np.zeros(len(x), np.int64))
     if drop:
         block = PointBlock(**{n: None if n == drop else getattr(block, n) for n in FIELDS})
     with pytest.raises(StoreError, match=message):
         local_store.write_bucket(Cell(0, 0), block, candidates)
 
 
-def test_a_bucket_that_nobody_allocated_or_published_is_refused(
-    local_store: TileStore, points: Points
-) -> None:
-    block = points(np.array([5]), np.array([5]))
+def test_a_bucket_that_nobody_allocated_or_published_is_refused(local_store: TileStore) -> None:
+    block = make_points(np.array([5]), np.array([5]))
     with pytest.raises(StoreError, match=r"bucket \+00\+00: not in .*; allocate first"):
         local_store.write_bucket(Cell(0, 0), block, 0)
     local_store.allocate({Cell(0, 0): 1})

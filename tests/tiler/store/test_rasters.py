@@ -8,17 +8,16 @@ import pytest
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.errors import StoreError
-from tiler.store import StoreMeta, TileStore, create_store, open_store
+from tiler.store import TileStore, open_store
 
 
-def test_blocks_come_back_in_any_window(store_url: str, meta: StoreMeta) -> None:
-    store = create_store(store_url, meta)
+def test_blocks_come_back_in_any_window(store: TileStore) -> None:
     spec = RasterSpec.covering(Lattice(1), Bounds(0, 0, 700, 1100))  # type: ignore[arg-type]
     truth = np.random.default_rng(0).normal(size=(spec.height, spec.width)).astype(np.float32)
     store.create_raster("dtm", spec.height, spec.width)
     for b in spec.blocks(512):
         store.write_block("dtm", b, truth[b.row : b.row + b.height, b.col : b.col + b.width])
-    reader = open_store(store_url)
+    reader = open_store(store.url)
     for b in [Block(0, 0, 1100, 700), Block(500, 500, 100, 100), Block(1099, 699, 1, 1)]:
         found = reader.read_block("dtm", b)
         assert found.dtype == np.float32

@@ -8,6 +8,7 @@ import pytest
 from tiler.store import SPOOL_CHUNK, KeptPiece, TileStore
 
 TYPE = np.dtype([("a", "<i4"), ("b", "u1", 3)])
+WIDER = np.dtype([*TYPE.descr, ("c", "u1")])
 
 
 def test_any_range_comes_back(local_store: TileStore) -> None:
@@ -31,30 +32,21 @@ def test_any_range_comes_back(local_store: TileStore) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pieces", "count"),
+    ("pieces", "count", "dtype"),
     [
-        ([], 4),
-        ([KeptPiece("gone", 0, 4, "same")], 4),
-        ([KeptPiece("p", 0, 4, "another")], 4),
-        ([KeptPiece("p", 0, 5, "same")], 5),
-        ([KeptPiece("p", 1, 4, "same")], 5),
-        ([KeptPiece("p", 0, 4, "same")], 5),
+        ([], 4, TYPE),
+        ([KeptPiece("gone", 0, 4, "same")], 4, TYPE),
+        ([KeptPiece("p", 0, 4, "another")], 4, TYPE),
+        ([KeptPiece("p", 0, 5, "same")], 5, TYPE),
+        ([KeptPiece("p", 1, 4, "same")], 5, TYPE),
+        ([KeptPiece("p", 0, 4, "same")], 5, TYPE),
+        ([KeptPiece("p", 0, 4, "later")], 4, WIDER),  # the same name, a file of another format
     ],
 )
 def test_what_is_not_all_of_a_source_is_nothing(
-    local_store: TileStore, pieces: list[KeptPiece], count: int
+    local_store: TileStore, pieces: list[KeptPiece], count: int, dtype: np.dtype[np.void]
 ) -> None:
     keeper = local_store.keep_records("p", "same", TYPE.itemsize)
     keeper.add(np.zeros(4, TYPE))
     keeper.close()
-    assert local_store.records(pieces, count, TYPE) is None
-
-
-def test_records_of_a_file_of_another_format_are_not_taken_for_those_of_its_successor(
-    local_store: TileStore,
-) -> None:
-    keeper = local_store.keep_records("p", "earlier", TYPE.itemsize)
-    keeper.add(np.zeros(4, TYPE))
-    keeper.close()
-    wider = np.dtype([*TYPE.descr, ("c", "u1")])
-    assert local_store.records([KeptPiece("p", 0, 4, "later")], 4, wider) is None
+    assert local_store.records(pieces, count, dtype) is None

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
+from tests.tiler.store.conftest import make_points
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
 from tiler.store import StoreMeta, TileStore, create_store, open_store
 from tiler.store.layout import SPOOL_CHUNK
 
-Points = Callable[..., PointBlock]
-
 
 @pytest.mark.parametrize("has_rgb", [True, False])
-def test_fragments_come_back(store_url: str, meta: StoreMeta, points: Points, has_rgb: bool) -> None:
+def test_fragments_come_back(store_url: str, meta: StoreMeta, has_rgb: bool) -> None:
     store = create_store(store_url, replace(meta, has_rgb=has_rgb))
     n = SPOOL_CHUNK + 100
-    block = points(np.arange(n) % 3000, np.arange(n) % 77, has_rgb)
+    block = make_points(np.arange(n) % 3000, np.arange(n) % 77, has_rgb)
     store.write_piece("source-1.0", block, [(-1, 2, n - 7), (0, 2, 7)])
     reader = open_store(store_url)
     assert reader.piece_index("source-1.0") == [(-1, 2, n - 7), (0, 2, 7)]
@@ -36,22 +34,22 @@ def test_fragments_come_back(store_url: str, meta: StoreMeta, points: Points, ha
                 assert getattr(found, name).flags.c_contiguous
 
 
-def test_a_piece_of_no_points(local_store: TileStore, points: Points) -> None:
-    local_store.write_piece("p", points(*np.empty((2, 0), np.int64)), [])
+def test_a_piece_of_no_points(local_store: TileStore) -> None:
+    local_store.write_piece("p", make_points(*np.empty((2, 0), np.int64)), [])
     assert local_store.piece_index("p") == []
     assert len(local_store.read_fragment("p", 0, 0)) == 0
 
 
-def test_a_piece_written_again_is_the_new_one(local_store: TileStore, points: Points) -> None:
-    local_store.write_piece("p", points(np.arange(50), np.arange(50)), [(0, 0, 50)])
-    again = points(np.arange(20), np.arange(20), seed=4)
+def test_a_piece_written_again_is_the_new_one(local_store: TileStore) -> None:
+    local_store.write_piece("p", make_points(np.arange(50), np.arange(50)), [(0, 0, 50)])
+    again = make_points(np.arange(20), np.arange(20), seed=4)
     local_store.write_piece("p", again, [(0, 0, 20)])
     assert local_store.piece_index("p") == [(0, 0, 20)]
     assert np.array_equal(local_store.read_fragment("p", 0, 20).xyz, again.xyz)
 
 
-def test_what_cannot_be_right_is_refused(local_store: TileStore, points: Points) -> None:
-    block = points(np.arange(5), np.arange(5))
+def test_what_cannot_be_right_is_refused(local_store: TileStore) -> None:
+    block = make_points(np.arange(5), np.arange(5))
     with pytest.raises(StoreError, match="does not count its 5 points"):
         local_store.write_piece("p", block, [(0, 0, 4)])
     with pytest.raises(StoreError, match="needs a column origin"):
@@ -62,9 +60,8 @@ def test_what_cannot_be_right_is_refused(local_store: TileStore, points: Points)
             local_store.read_fragment("p", start, stop)
 
 
-def test_the_spool_can_be_dropped(store_url: str, meta: StoreMeta, points: Points) -> None:
-    store = create_store(store_url, meta)
-    store.write_piece("p", points(np.arange(5), np.arange(5)), [(0, 0, 5)])
+def test_the_spool_can_be_dropped(store: TileStore) -> None:
+    store.write_piece("p", make_points(np.arange(5), np.arange(5)), [(0, 0, 5)])
     store.drop_spool()
     with pytest.raises(StoreError, match="there is no spool/p"):
         store.read_fragment("p", 0, 5)
