@@ -204,15 +204,13 @@ def chosen_without(found: LeaveOneOut) -> str:
         for fold in found.folds
     ]
     default, left_out = mean(f.default for f in found.folds), mean(f.total for f in found.folds)
-    few = (
-        "" if found.most_changed is None else f" in which at most {found.most_changed} values change at once"
-    )
+    few = "" if found.most_changed is None else f" with at most {found.most_changed} changes at once"
     rows.append(["mean", "", percent(default), percent(left_out)])
     return (
         f"Total error. All {found.settings} settings of this grid{few}, declared beforehand (the default is in its "
         f"middle): {grid}. For each sample the setting with the least mean error on the others was taken, and scored "
-        f"on it: "
-        f"{percent(left_out)} against {percent(default)} with the default, {100 * (left_out - default):+.2f} points. "
+        f"on it: {percent(left_out)} against {percent(default)} with the default, {100 * (left_out - default):+.2f} "
+        "points. "
         f"The best of the grid on all samples, chosen with hindsight: {percent(found.best)}.\n\n"
         + table(["sample", "what was best on the others", "default", "left out"], rows)
     )
