@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from ptd.frame import Scale, Window
 from ptd.kernel import inlined, kernel
-from ptd.tin.layout import Int32Array, is_ghost
+from ptd.tin.layout import Int32Array, Mesh, is_ghost
+from ptd.tin.mesh import Tin
 
 DOUBT_CELL_M = 2.0
 MAX_RASTER = 1024
@@ -54,16 +55,10 @@ def _distance_to_side(ax: float, ay: float, bx: float, by: float) -> float:
 
 @kernel
 def _mark_triangles(
-    mask: UInt8,
-    west: int,
-    south: int,
-    cell: int,
-    vertices: Int32Array,
-    triangles: Int32Array,
-    which: UInt8,
-    reach: float,
+    mask: UInt8, west: int, south: int, cell: int, mesh: Mesh, which: UInt8, reach: float
 ) -> None:
     """Put cells with a place within `reach` of a chosen real triangle in doubt, and a few more."""
+    vertices, triangles = mesh
     near = reach + math.sqrt(0.5) * cell + 1.0
     corners = np.empty((3, 2), np.float64)
     for t in range(which.size):
@@ -145,10 +140,9 @@ def _within(x: float, y: float, radius: float, sides: tuple[float, float, float,
 
 
 @kernel
-def _doubtful_triangles(
-    vertices: Int32Array, triangles: Int32Array, n: int, sides: _Sides, cell: int, free: Float32, out: UInt8
-) -> None:
-    for t in range(n):
+def _doubtful_triangles(mesh: Mesh, sides: _Sides, cell: int, free: Float32, out: UInt8) -> None:
+    vertices, triangles = mesh
+    for t in range(out.size):
         if is_ghost(triangles, t):
             out[t] = 1
             continue
@@ -219,10 +213,10 @@ class Doubt:
         self._stale = self._stale or new
         return new
 
-    def add_triangles(self, vertices: Int32Array, triangles: Int32Array, which: UInt8, reach: float) -> None:
+    def add_triangles(self, tin: Tin, which: UInt8, reach: float) -> None:
         """Put all places within `reach` counts of the chosen real triangles in doubt."""
         if self.active:
-            _mark_triangles(self.mask, self.west, self.south, self.cell, vertices, triangles, which, reach)
+            _mark_triangles(self.mask, self.west, self.south, self.cell, tin.mesh, which, reach)
             self._stale = True
 
     def covers(self, x: Int32Array, y: Int32Array) -> npt.NDArray[np.bool_]:
@@ -236,11 +230,11 @@ class Doubt:
         found: npt.NDArray[np.bool_] = beyond | (self.mask[row, column] != 0)
         return found
 
-    def triangles(self, vertices: Int32Array, triangles: Int32Array, n: int) -> UInt8:
-        """1 for each triangle whose circumcircle may hold a place in doubt, or that has no circle: uint8 [n]."""
-        out = np.zeros(n, np.uint8)
+    def triangles(self, tin: Tin) -> UInt8:
+        """1 for each triangle whose circumcircle may hold a place in doubt, or that has no circle, as uint8."""
+        out = np.zeros(tin.n_triangles, np.uint8)
         if self.active:
-            _doubtful_triangles(vertices, triangles, n, self._sides, self.cell, self._fresh(), out)
+            _doubtful_triangles(tin.mesh, self._sides, self.cell, self._fresh(), out)
         return out
 
     def near(self, x: Int32Array, y: Int32Array, radius: float) -> Bool:

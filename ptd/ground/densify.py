@@ -17,7 +17,7 @@ from ptd.ground.criteria import Limits, accepts
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.kernel import kernel, wide
 from ptd.tin.insertion import insert
-from ptd.tin.layout import N_TRIANGLES, STAMP, Int32Array, Mesh, is_ghost
+from ptd.tin.layout import STAMP, Int32Array, Mesh, is_ghost
 from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
@@ -152,7 +152,7 @@ def densify(
     stamp = 0
     while rounds == 0 or stamp < rounds:
         stamp += 1
-        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, int(tin.counters[N_TRIANGLES]))
+        in_doubt = doubt.triangles(tin)
         n = _test_round(tin.mesh, Xyz(x, y, z), candidates, in_doubt, limits, stamp, room)
         spread = doubt.add_points(x, y, doubtful)
         if n == 0 and not spread:
@@ -204,4 +204,4 @@ def densify_seeds(
     first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
     tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
     _, run = densify(tin, x, y, z, state, limits, rounds, doubt)
-    return tin, doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles), run
+    return tin, doubt.triangles(tin), run

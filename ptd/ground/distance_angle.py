@@ -187,7 +187,7 @@ class Trial:
         self.usable = _usable(tin.vertex_array, tin.triangle_array, n, Rule(ANY_EDGE, self.radius))
         self.in_doubt = np.zeros(n, np.uint8)
         if doubt is not None:
-            self.in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, n)
+            self.in_doubt = doubt.triangles(tin)
         if n:
             self._tested = Tested(
                 tin.mesh, self.usable, self.in_doubt, Locator.of(tin), scale.z_ratio, largest

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, Int32, Xyz
-from ptd.frame import Cells
+from ptd.cells import Xyz
 from ptd.ground.certificates import UInt8
 from ptd.ground.criteria import Limits, across, facet_measures, judge
+from ptd.ground.outliers import LowNoise
 from ptd.kernel import kernel, wide
-from ptd.passes import Points
+from ptd.passes import Model, Points
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, Mesh, is_ghost, real_neighbour
 from ptd.tin.location import coincident_vertex, locate, walk
@@ -85,6 +85,42 @@ class GroundRule(NamedTuple):
     per_slope: float = 0.0
 
 
+class _Facet(NamedTuple):
+    """A real triangle and its limit, horizontal counts; corners in local counts, the smallest in (x, y) first."""
+
+    t: int
+    a: tuple[int, int, int]
+    b: tuple[int, int, int]
+    c: tuple[int, int, int]
+    normal: tuple[float, float, float]
+    length: float
+    allowed: float
+
+
+@kernel
+def _facet(vertices: Int32Array, triangles: Int32Array, t: int, rule: GroundRule) -> _Facet:
+    i, j, k = canonical_facet(vertices, triangles, t)
+    a = wide(vertices[4 * i]), wide(vertices[4 * i + 1]), wide(vertices[4 * i + 2])
+    b = wide(vertices[4 * j]), wide(vertices[4 * j + 1]), wide(vertices[4 * j + 2])
+    c = wide(vertices[4 * k]), wide(vertices[4 * k + 1]), wide(vertices[4 * k + 2])
+    ratio = rule.limits.z_ratio
+    bx, by, bz = float(b[0] - a[0]), float(b[1] - a[1]), (b[2] - a[2]) * ratio
+    cx, cy, cz = float(c[0] - a[0]), float(c[1] - a[1]), (c[2] - a[2]) * ratio
+    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    n2 = nx * nx + ny * ny + nz * nz
+    cos2 = nz * nz / n2
+    # The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
+    allowed = rule.floor * math.sqrt(cos2) + rule.per_slope * math.sqrt(max(1.0 - cos2, 0.0))
+    return _Facet(t, a, b, c, (nx, ny, nz), math.sqrt(n2), allowed)
+
+
+@kernel
+def _fits(f: _Facet, x: int, y: int, z: int, z_ratio: float) -> bool:
+    """Whether a point lies near a facet in height."""
+    dx, dy, dz = float(x - f.a[0]), float(y - f.a[1]), (z - f.a[2]) * z_ratio
+    return abs((f.normal[0] * dx + f.normal[1] * dy + f.normal[2] * dz) / f.length) <= f.allowed
+
+
 @kernel
 def _is_near(
     vertices: Int32Array,
@@ -104,71 +140,13 @@ def _is_near(
     if v >= 0:
         return abs(float(z - vertices[4 * v + 2])) * rule.limits.z_ratio <= rule.floor, doubtful
     doubtful = doubtful or in_doubt[across(vertices, triangles, t, x, y)] != 0
-    distance, _nearest, cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, rule.limits.z_ratio)
-    # The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
-    allowed = rule.floor * math.sqrt(cos2) + rule.per_slope * math.sqrt(max(1.0 - cos2, 0.0))
-    return abs(distance) <= allowed, doubtful
-
-
-class _Facet(NamedTuple):
-    """A real triangle, and what `_is_near` needs of it: corners, local counts; plane and limit, horizontal counts.
-
-    The plane is given by its lexicographically smallest corner and its normal, as `facet_measures` has them.
-    """
-
-    t: int
-    ax: int
-    ay: int
-    bx: int
-    by: int
-    cx: int
-    cy: int
-    x: int
-    y: int
-    z: int
-    nx: float
-    ny: float
-    nz: float
-    length: float
-    allowed: float
-
-
-@kernel
-def _facet(vertices: Int32Array, triangles: Int32Array, t: int, rule: GroundRule) -> _Facet:
-    i, j, k = triangles[8 * t + 4], triangles[8 * t + 5], triangles[8 * t + 6]
-    a, b, c = canonical_facet(vertices, triangles, t)
-    x, y, z = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
-    ratio = rule.limits.z_ratio
-    bx, by, bz = float(vertices[4 * b] - x), float(vertices[4 * b + 1] - y), (vertices[4 * b + 2] - z) * ratio
-    cx, cy, cz = float(vertices[4 * c] - x), float(vertices[4 * c + 1] - y), (vertices[4 * c + 2] - z) * ratio
-    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    n2 = nx * nx + ny * ny + nz * nz
-    cos2 = nz * nz / n2
-    # The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
-    allowed = rule.floor * math.sqrt(cos2) + rule.per_slope * math.sqrt(max(1.0 - cos2, 0.0))
-    return _Facet(
-        t,
-        wide(vertices[4 * i]),
-        wide(vertices[4 * i + 1]),
-        wide(vertices[4 * j]),
-        wide(vertices[4 * j + 1]),
-        wide(vertices[4 * k]),
-        wide(vertices[4 * k + 1]),
-        wide(x),
-        wide(y),
-        wide(z),
-        nx,
-        ny,
-        nz,
-        math.sqrt(n2),
-        allowed,
-    )
+    return _fits(_facet(vertices, triangles, t, rule), x, y, z, rule.limits.z_ratio), doubtful
 
 
 @kernel
 def _inside(f: _Facet, x: int, y: int) -> bool:
     """Whether a position lies in a triangle, and not on its border."""
-    ax, ay, bx, by, cx, cy = f.ax - x, f.ay - y, f.bx - x, f.by - y, f.cx - x, f.cy - y
+    ax, ay, bx, by, cx, cy = f.a[0] - x, f.a[1] - y, f.b[0] - x, f.b[1] - y, f.c[0] - x, f.c[1] - y
     return bool(ax * by - ay * bx > 0 and bx * cy - by * cx > 0 and cx * ay - cy * ax > 0)
 
 
@@ -192,9 +170,7 @@ def _label_by_height(
                 terrain, marked[i] = _is_near(vertices, triangles, t, px, py, pz, in_doubt, rule)
                 labels[i] = GROUND if terrain else UNCLASSIFIED
                 continue
-        dx, dy, dz = float(px - facet.x), float(py - facet.y), (pz - facet.z) * rule.limits.z_ratio
-        distance = (facet.nx * dx + facet.ny * dy + facet.nz * dz) / facet.length
-        labels[i] = GROUND if abs(distance) <= facet.allowed else UNCLASSIFIED
+        labels[i] = GROUND if _fits(facet, px, py, pz, rule.limits.z_ratio) else UNCLASSIFIED
         marked[i] = in_doubt[facet.t] != 0
     return labels, marked
 
@@ -254,58 +230,34 @@ def label_points(
     return np.full(points.x.size, UNCLASSIFIED, np.uint8), np.zeros(points.x.size, np.bool_)
 
 
-class LowNoise:
-    """Where low outliers were found: points of the same cell that are not higher are low noise as well.
+class TinLabels(Model):
+    """A window whose points are labelled against a TIN; as long as there is none, nothing but low noise is known.
 
     Parameters
     ----------
-    x, y, z : int32 [n]
-        The outliers, local counts.
-    cells : Cells
-        Of which the lowest points were looked at.
+    closed : bool
+        Points may lie beyond the window: without a TIN no label is certain.
+    stats : dict
+    low : LowNoise, optional
     """
 
-    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
-        self._index = CellIndex(x, y, cells) if x.size else None
-        if self._index is not None:
-            self._heights = np.maximum.reduceat(z[self._index.table.order], self._index.table.starts[:-1])
+    def __init__(self, closed: bool, stats: dict[str, Any], low: LowNoise | None = None) -> None:
+        self.stats, self.low, self._closed = stats, low, closed
+        self.tin: Tin | None = None
 
-    def holds(self, x: Int32, y: Int32, z: Int32) -> npt.NDArray[np.bool_]:
-        """Whether points are low noise: bool [n]."""
-        if self._index is None:
-            return np.zeros(z.size, np.bool_)
-        found: npt.NDArray[np.bool_] = z <= self._heights.max()  # most lie above all of them
-        low = np.flatnonzero(found)
-        cell = self._index.find(x[low], y[low])
-        found[low] = (cell >= 0) & (z[low] <= self._heights[cell])
-        return found
-
-
-class Terrain:
-    """A finished TIN that tells ground from the rest.
-
-    Parameters
-    ----------
-    tin : Tin
-        As it stays.
-    in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.Doubt.triangles`.
-    low : LowNoise
-    rule : GroundRule
-    """
-
-    def __init__(self, tin: Tin, in_doubt: UInt8, low: LowNoise, rule: GroundRule) -> None:
-        self.tin, self._in_doubt, self._low, self._rule = tin, in_doubt, low, rule
+    def finish(self, tin: Tin, in_doubt: UInt8, rule: GroundRule) -> None:
+        """Take a TIN, as it stays, to label with; see `label_points`."""
+        self.tin, self._in_doubt, self._rule = tin, in_doubt, rule
         self._locator = Locator.of(tin)
+        self.stats.update(vertices=tin.n_vertices)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """ASPRS classes (uint8 [n]) and marks (bool [n]) of points, in any order."""
-        xyz = Xyz(*(np.ascontiguousarray(c) for c in points.xyz))
-        labels, marked = label_points(self.tin, self._locator, xyz, self._in_doubt, self._rule)
-        labels[(labels != GROUND) & self._low.holds(*xyz)] = LOW_NOISE
+        xyz = Xyz(*points.columns())
+        if self.tin is None:
+            labels, marked = np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), self._closed)
+        else:
+            labels, marked = label_points(self.tin, self._locator, xyz, self._in_doubt, self._rule)
+        if self.low is not None:
+            labels[(labels != GROUND) & self.low.holds(*xyz)] = LOW_NOISE
         return labels, marked
-
-
-def unlabelled(points: Points, closed: bool) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-    """Labels and marks of a window without a TIN: unclassified, for certain only if nothing lies beyond the window."""
-    return np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), closed)

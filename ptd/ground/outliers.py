@@ -139,3 +139,30 @@ def _search(
 def search_margin(radius_m: float, group: int, cell_m: float) -> int:
     """Cells of the lattice whose lowest points are looked at that hold the radius of the search; 0 without one."""
     return math.ceil(Fraction(repr(float(radius_m))) / Fraction(repr(float(cell_m)))) if group else 0
+
+
+class LowNoise:
+    """Where low outliers were found: points of the same cell that are not higher are low noise as well.
+
+    Parameters
+    ----------
+    x, y, z : int32 [n]
+        The outliers, local counts.
+    cells : Cells
+        Of which the lowest points were looked at.
+    """
+
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
+        self._index = CellIndex(x, y, cells) if x.size else None
+        if self._index is not None:
+            self._heights = np.maximum.reduceat(z[self._index.table.order], self._index.table.starts[:-1])
+
+    def holds(self, x: Int32, y: Int32, z: Int32) -> npt.NDArray[np.bool_]:
+        """Whether points are low noise: bool [n]."""
+        if self._index is None:
+            return np.zeros(z.size, np.bool_)
+        found: npt.NDArray[np.bool_] = z <= self._heights.max()  # most lie above all of them
+        low = np.flatnonzero(found)
+        cell = self._index.find(x[low], y[low])
+        found[low] = (cell >= 0) & (z[low] <= self._heights[cell])
+        return found

@@ -35,20 +35,20 @@ point keeps its height; a ring of virtual seeds around the data (001, step 5), n
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Xyz, cell_keys, lowest_per_cell
 from ptd.frame import Cells, Scale, Window
+from ptd.ground.criteria import Limits
 from ptd.ground.densify import densify_seeds
-from ptd.ground.labelling import GroundRule, LowNoise, Terrain, unlabelled
-from ptd.ground.outliers import low_outliers
+from ptd.ground.labelling import GroundRule, TinLabels
+from ptd.ground.outliers import LowNoise, low_outliers
 from ptd.methods.progressive import Progressive
 from ptd.params import parameter
-from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
-from ptd.tin.mesh import Tin
+from ptd.passes import Int32, Method, Pass, Points, State
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,18 @@ class Classic(Progressive):
         True, "points near the finished TIN become ground too, not only its vertices"
     )
 
+    heights_only: ClassVar[bool] = False
+    """See `ptd.ground.labelling.GroundRule`."""
+
     @property
     def passes(self) -> tuple[Pass, ...]:
         """One pass: everything is local."""
         return (ClassicPass(self),)
+
+    def ground_rule(self, limits: Limits, scale: Scale) -> GroundRule:
+        """How the finished TIN labels."""
+        floor = scale.counts(self.label_floor_m) if self.label_pass else 0.0
+        return GroundRule(limits, floor, not self.label_pass, self.heights_only)
 
     @property
     def halo_m(self) -> float:
@@ -78,66 +86,37 @@ class Classic(Progressive):
 
 @dataclass(frozen=True)
 class ClassicPass(Pass):
-    """The one pass of `classic`: outliers, seeds, densification."""
+    """One pass: outliers, seeds, densification, labels."""
 
     params: Classic
     name: str = "classic"
-    title = "seeds, densification, labels"
+    title: str = "seeds, densification, labels"
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> ClassicModel:
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
         """Densify the window's TIN."""
-        return ClassicModel(self.params, points.xyz, window, scale)
-
-
-class ClassicModel(Model):
-    """A window's finished TIN."""
-
-    def __init__(self, params: Classic, candidates: Int32, window: Window, scale: Scale) -> None:
-        self.params, self.scale = params, scale
-        p = params
-        self.limits = p.limits(scale)
-        self.cells = Cells.of(p.low_cell_m, scale)
-        self._closed = window.closed
-        x, y, z = thinned(candidates, p.thin_cell_m, scale)
-        self.stats: dict[str, Any] = {
-            "candidates": int(x.size),
-            "rounds": 0,
-            "low_outliers": 0,
-            "vertices": 0,
-        }
-        self.terrain: Terrain | None = None
-        if x.size:
-            self._densify(x, y, z, window)
-
-    def _densify(self, x: Int32, y: Int32, z: Int32, window: Window) -> None:
-        p, scale = self.params, self.scale
+        p = self.params
+        x, y, z = thinned(points.columns(), p.thin_cell_m, scale)
+        stats = {"candidates": int(x.size), "rounds": 0, "low_outliers": 0, "vertices": 0}
+        found = TinLabels(window.closed, stats)
+        if not x.size:
+            return found
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
+        cells, limits = Cells.of(p.low_cell_m, scale), p.limits(scale)
         # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
-        known = window.inside(self.cells, p.margin_cells)
+        known = window.inside(cells, p.margin_cells)
         seed_cells = Cells.of(p.max_building_size_m, scale)
         tin, in_doubt, rounds = densify_seeds(
-            Xyz(x, y, z), outlier, seed_cells, self.limits, p.rounds, known, scale
+            Xyz(x, y, z), outlier, seed_cells, limits, p.rounds, known, scale
         )
-        low = LowNoise(x[outlier], y[outlier], z[outlier], self.cells)
-        self.terrain = self._terrain(tin, in_doubt, low)
-        self.stats.update(rounds=rounds, low_outliers=int(outlier.sum()), vertices=tin.n_vertices)
-
-    def _terrain(self, tin: Tin, in_doubt: UInt8, low: LowNoise) -> Terrain:
-        """How the finished TIN labels."""
-        p = self.params
-        floor = self.scale.counts(p.label_floor_m) if p.label_pass else 0.0
-        return Terrain(tin, in_doubt, low, GroundRule(self.limits, floor, vertices_only=not p.label_pass))
-
-    def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-        """Labels and marks of points of the window."""
-        if self.terrain is None:
-            return unlabelled(points, self._closed)
-        return self.terrain.label(points)
+        stats.update(rounds=rounds, low_outliers=int(outlier.sum()))
+        found.low = LowNoise(x[outlier], y[outlier], z[outlier], cells)
+        found.finish(tin, in_doubt, p.ground_rule(limits, scale))
+        return found
 
 
-def thinned(candidates: Int32, cell_m: float, scale: Scale) -> tuple[Int32, Int32, Int32]:
+def thinned(columns: tuple[Int32, Int32, Int32], cell_m: float, scale: Scale) -> tuple[Int32, Int32, Int32]:
     """The lowest candidate per cell, in row-major order of the cells; all, in such an order, if `cell_m` is 0."""
-    x, y, z = (np.ascontiguousarray(c) for c in candidates)
+    x, y, z = columns
     if x.size == 0:
         return x, y, z
     if cell_m:

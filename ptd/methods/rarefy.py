@@ -25,13 +25,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptd.frame import Scale, Window
-from ptd.ground.certificates import UInt8
-from ptd.ground.labelling import GroundRule, LowNoise, Terrain
-from ptd.methods.classic import Classic, ClassicModel
+from ptd.methods.classic import Classic, ClassicPass
 from ptd.params import parameter
-from ptd.passes import Method, Pass, Points, State
-from ptd.tin.mesh import Tin
+from ptd.passes import Method, Pass
 
 
 @dataclass(frozen=True)
@@ -47,33 +43,12 @@ class Rarefy(Classic):
         source="Dong 2018, 1",
     )
 
+    heights_only = True
+
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """One pass: everything is local."""
-        return (RarefyPass(self),)
-
-
-@dataclass(frozen=True)
-class RarefyPass(Pass):
-    """The one pass: `classic`'s TIN of the thinned cloud, another labelling."""
-
-    params: Rarefy
-    name: str = "rarefy"
-    title = "thin, densify, label all points"
-
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> RarefyModel:
-        """Densify the window's TIN."""
-        return RarefyModel(self.params, points.xyz, window, scale)
-
-
-class RarefyModel(ClassicModel):
-    """A window's finished TIN, which labels by height alone."""
-
-    def _terrain(self, tin: Tin, in_doubt: UInt8, low: LowNoise) -> Terrain:
-        p = self.params
-        floor = self.scale.counts(p.label_floor_m) if p.label_pass else 0.0
-        rule = GroundRule(self.limits, floor, vertices_only=not p.label_pass, heights_only=True)
-        return Terrain(tin, in_doubt, low, rule)
+        """`classic`'s TIN of the thinned cloud, another labelling."""
+        return (ClassicPass(self, "rarefy", "thin, densify, label all points"),)
 
 
 METHOD = Method(

@@ -9,27 +9,26 @@ import numpy.typing as npt
 
 from ptd.cells import CellIndex, Int32, lowest_per_cell
 from ptd.frame import Cells, Window
+from ptd.ground.labelling import UNCLASSIFIED
 from ptd.passes import Model, Points, UInt8
 
 Bool = npt.NDArray[np.bool_]
 
 
 class CellCodes(Model):
-    """What a pass says of each cell.
+    """What a pass says of each cell; cells without a point are unclassified.
 
     Parameters
     ----------
     x, y : int32 [m]
         A point of each cell, local counts, by rows of cells.
     codes : uint8 [m]
-    doubtful : bool [m]
-        Points outside the window could change the code.
     cells : Cells
     certain : Window
         All cells outside of it are doubtful.
-    missing : int
-        Code of cells without a point.
     stats : dict
+    doubtful : bool [m], optional
+        Points outside the window could change the code; none within `certain` if left out.
     """
 
     def __init__(
@@ -37,20 +36,19 @@ class CellCodes(Model):
         x: Int32,
         y: Int32,
         codes: UInt8,
-        doubtful: Bool,
         cells: Cells,
         certain: Window,
-        missing: int,
         stats: dict[str, Any],
+        doubtful: Bool | None = None,
     ) -> None:
-        self.stats = stats
-        self._certain = certain
-        self._codes, self._doubtful = np.append(codes, np.uint8(missing)), np.append(doubtful, False)
+        self.stats, self._certain = {"cells": int(x.size), **stats}, certain
+        self._codes = np.append(codes, np.uint8(UNCLASSIFIED))
+        self._doubtful = np.zeros(x.size + 1, np.bool_) if doubtful is None else np.append(doubtful, False)
         self._index = CellIndex(x, y, cells) if x.size else None
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Codes (uint8 [n]) and marks (bool [n]) of the cells of points."""
-        x, y = np.ascontiguousarray(points.xyz[0]), np.ascontiguousarray(points.xyz[1])
+        x, y, _ = points.columns()
         slots = np.full(x.size, -1, np.int32)
         if self._index is not None:
             slots = self._index.find(x, y)
@@ -63,7 +61,7 @@ class CellCodes(Model):
 
 def lowest_points(points: Points, cells: Cells) -> tuple[Int32, Int32, Int32, UInt8]:
     """x, y, z and label of the lowest point of each cell, by rows of cells; labels are 0 if there are none yet."""
-    x, y, z = (np.ascontiguousarray(c) for c in points.xyz)
+    x, y, z = points.columns()
     index = lowest_per_cell(x, y, z, cells)
     labels = np.zeros(index.size, np.uint8) if points.labels is None else points.labels[index]
     return x[index], y[index], z[index], labels

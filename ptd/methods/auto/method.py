@@ -63,9 +63,9 @@ from ptd.frame import Cells, Scale, Window
 from ptd.ground.blocks import blocks
 from ptd.ground.certificates import Doubt
 from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
-from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, LowNoise, Terrain
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, TinLabels
 from ptd.ground.morphology import Bool, CellRaster
-from ptd.ground.outliers import low_outliers
+from ptd.ground.outliers import LowNoise, low_outliers
 from ptd.ground.plateaus import ROOF_CELL_M, ROOF_STEPS_M, Plateaus, on_plateaus
 from ptd.ground.roughness import Roughness
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
@@ -76,7 +76,7 @@ from ptd.methods.auto.cell_codes import CellCodes, lowest_points
 from ptd.methods.auto.label_thresholds import decided, label_thresholds
 from ptd.methods.auto.objects import Lowest
 from ptd.methods.auto.params import REGROWTH, RING_M, AutoParameters
-from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
+from ptd.passes import Int32, Method, Pass, Points, State, UInt8
 from ptd.tin.mesh import Tin
 
 ROOF_PASSES = ("roofs", *(f"roofs{n}" for n in range(2, len(ROOF_STEPS_M) + 1)))
@@ -155,9 +155,7 @@ class SeedPass(LaserPass):
             rises = low.steep_objects(present, p.seed_drop, p.shape) & present
             codes[index[rises & inner]] = OBJECT
         found = {"low_outliers": int((codes == OUTLIER).sum()), "seeds": int((codes == SEED).sum())}
-        stats = {"cells": int(x.size), **found}
-        certain = window.inside(cells, p.seed_reach)
-        return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
+        return CellCodes(x, y, codes, cells, window.inside(cells, p.seed_reach), found)
 
 
 @dataclass(frozen=True)
@@ -182,8 +180,8 @@ class DensifyPass(LaserPass):
             todo = np.where(seed, np.uint8(VERTEX), rest)
             doubtful, rounds = densify(tin, x, y, z, todo, p.limits(scale), p.rounds, doubt)
             codes = np.where((todo == VERTEX) & ~seed, np.uint8(DENSIFIED), codes)
-        stats = {"cells": int(x.size), "rounds": rounds, "densified": int((codes == DENSIFIED).sum())}
-        return CellCodes(x, y, codes, doubtful, cells, known, OBJECT, stats)
+        stats = {"rounds": rounds, "densified": int((codes == DENSIFIED).sum())}
+        return CellCodes(x, y, codes, cells, known, stats, doubtful)
 
 
 @dataclass(frozen=True)
@@ -206,9 +204,8 @@ class RefinePass(LaserPass):
             low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)
             ground = refined(low, before[index], p)
             codes[index[ground & inner]] = GROUND
-        stats = {"cells": int(x.size), "ground": int((codes == GROUND).sum())}
-        certain = window.inside(cells, p.refine_reach)
-        return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
+        stats = {"ground": int((codes == GROUND).sum())}
+        return CellCodes(x, y, codes, cells, window.inside(cells, p.refine_reach), stats)
 
 
 def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
@@ -248,9 +245,8 @@ class RoofPass(LaserPass):
             raster = CellRaster(x[index], y[index], wide)
             roofs = on_plateaus(z[index], ground[index], before[index], raster, rule)
             codes[index[roofs & inner]] = ROOF
-        stats = {"cells": int(x.size), "roofs": int(ground.sum() - (codes == GROUND).sum())}
-        certain = window.inside(cells, p.roof_reach)
-        return CellCodes(x, y, codes, np.zeros(x.size, np.bool_), cells, certain, OBJECT, stats)
+        stats = {"roofs": int(ground.sum() - (codes == GROUND).sum())}
+        return CellCodes(x, y, codes, cells, window.inside(cells, p.roof_reach), stats)
 
 
 @dataclass(frozen=True)
@@ -262,40 +258,23 @@ class LabelPass(LaserPass):
     title = "label all points"
     columns: tuple[str, ...] = ("labels",)
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Labels:
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
         """Build the TIN, and let it take back edges that were cut with objects."""
         p = self.params
         cells = Cells.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
         low, ground = codes == OUTLIER, codes == GROUND
-        noise = LowNoise(x[low], y[low], z[low], cells)
+        found = TinLabels(window.closed, {"vertices": 0}, LowNoise(x[low], y[low], z[low], cells))
         if not ground.any():
-            return Labels(None, noise, window.closed, {"vertices": 0})
+            return found
         tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale)
-        refused = (codes == OUTLIER) | (codes == ROOF)
-        todo = np.where(ground, VERTEX, np.where(refused, REFUSED, WAITING)).astype(np.uint8)
+        todo = np.where(ground, VERTEX, np.where(low | (codes == ROOF), REFUSED, WAITING)).astype(np.uint8)
         densify(tin, x, y, z, todo, p.limits(scale, REGROWTH), 1, doubt)
-        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
         s = label_thresholds(p, state["survey"])
         floor, per_slope = scale.counts(s.label_floor_m), scale.counts(s.label_slope_m)
         rule = GroundRule(p.limits(scale), floor, heights_only=True, per_slope=per_slope)
-        terrain = Terrain(tin, in_doubt, noise, rule)
-        return Labels(terrain, noise, window.closed, {"vertices": tin.n_vertices})
-
-
-class Labels(Model):
-    """The finished TIN; without one, nothing but low noise is known."""
-
-    def __init__(self, terrain: Terrain | None, noise: LowNoise, closed: bool, stats: dict[str, Any]) -> None:
-        self.terrain, self._noise, self._closed, self.stats = terrain, noise, closed, stats
-
-    def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """ASPRS classes and marks of points of the window."""
-        if self.terrain is not None:
-            return self.terrain.label(points)
-        low = self._noise.holds(*(np.ascontiguousarray(c) for c in points.xyz))
-        labels = np.where(low, np.uint8(LOW_NOISE), np.uint8(UNCLASSIFIED))
-        return labels, np.full(len(points), self._closed)
+        found.finish(tin, doubt.triangles(tin), rule)
+        return found
 
 
 def first_tin(x: Int32, y: Int32, z: Int32, chosen: Bool, known: Window, scale: Scale) -> tuple[Tin, Doubt]:

@@ -17,12 +17,7 @@ import numpy as np
 
 from ptd.cells import Int32
 from ptd.frame import Cells, Scale
-from ptd.ground.morphology import (
-    Bool,
-    CellRaster,
-    Float64,
-    steepest_drops,
-)
+from ptd.ground.morphology import Bool, CellRaster, Float64, steepest_drops
 from ptd.ground.slopes import box_means, slopes
 
 
@@ -140,9 +135,6 @@ class Lowest:
 
     def lack_of_objects(self, ground: Bool, rule: Residuals) -> Float64:
         """1 where all cells around are ground, 0 where a share `enough` of them is not: float64 raster."""
-        return 1.0 - np.minimum(self.share(~ground, rule.around) / rule.enough, 1.0)
-
-    def share(self, which: Bool, around: int) -> Float64:
-        """Share of the chosen points among those of the cells around: float64 raster, 0 where there is none."""
-        chosen = self.raster.lowest(which.astype(np.int32), np.ones(which.size, np.bool_))
-        return np.nan_to_num(box_means(chosen, around))
+        objects = self.raster.lowest((~ground).astype(np.int32), np.ones(ground.size, np.bool_))
+        share = np.nan_to_num(box_means(objects, rule.around))
+        return 1.0 - np.minimum(share / rule.enough, 1.0)

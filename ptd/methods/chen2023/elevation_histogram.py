@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell
 from ptd.frame import Cells, Scale, Window
-from ptd.passes import Model, Pass, Points, State, UInt8
+from ptd.passes import Measured, Pass, Points, State, noted
 
 BIN_M = 1.0
 Bool = npt.NDArray[np.bool_]
@@ -112,9 +112,12 @@ class ElevationsPass(Pass):
     title = "measure the range of heights"
     gives_labels: bool = False
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Elevations:
-        """Count the candidates of the core."""
-        return Elevations(points.xyz, self.cell_m, core, scale)
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+        """Count the candidates of the core; pairs, since names of JSON are texts."""
+        x, y, z = points.columns()
+        keep = lowest_per_cell(x, y, z, Cells.of(self.cell_m, scale))
+        keep = keep[core.has(x[keep], y[keep])]
+        return Measured({"elevations": sorted(histogram(z[keep], scale).items())}, {"candidates": keep.size})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Merge the counts, find the tails, and note what is cut."""
@@ -122,34 +125,11 @@ class ElevationsPass(Pass):
         found = find_tails(counts, math.ceil(self.gap_m / BIN_M), self.share) if self.gap_m else None
         if found is None:
             return {**state, "tails": None}
-        notes = list(state.get("notes", []))
-        for n, side, level in (
-            (found.below, "below", found.low_bin),
-            (found.above, "above", found.high_bin + 1),
-        ):
-            if n:
-                notes.append(
-                    f"{n} candidates {side} {level * BIN_M:g} m are outliers: beyond a gap of {self.gap_m:g} m "
-                    f"in the run's elevations, and no more than {self.share:g} of all"
-                )
-        return {**state, "tails": [found.low_bin, found.high_bin], "notes": notes}
-
-
-class Elevations(Model):
-    """The elevations of a core."""
-
-    def __init__(self, candidates: Int32, cell_m: float, core: Window, scale: Scale) -> None:
-        x, y, z = (np.ascontiguousarray(c) for c in candidates)
-        keep = lowest_per_cell(x, y, z, Cells.of(cell_m, scale))
-        east, north = x[keep], y[keep]
-        inside = core.has(east, north)
-        self._counts = histogram(z[keep[inside]], scale)
-        self.stats = {"candidates": int(inside.sum())}
-
-    def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Nothing is labelled: 0, and certain."""
-        return np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
-
-    def partial(self) -> dict[str, Any]:
-        """The histogram as pairs, since names of JSON are texts."""
-        return {"elevations": sorted(self._counts.items())}
+        cut = (found.below, "below", found.low_bin), (found.above, "above", found.high_bin + 1)
+        notes = (
+            f"{n} candidates {side} {level * BIN_M:g} m are outliers: beyond a gap of {self.gap_m:g} m "
+            f"in the run's elevations, and no more than {self.share:g} of all"
+            for n, side, level in cut
+            if n
+        )
+        return {**state, "tails": [found.low_bin, found.high_bin], "notes": noted(state, *notes)}

@@ -65,15 +65,15 @@ from ptd.cells import lowest_per_cell, positions
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.certificates import Doubt
 from ptd.ground.densify import REFUSED, VERTEX, densify
-from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, LowNoise, Terrain, unlabelled
-from ptd.ground.outliers import isolated_in_height, low_outliers
+from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, TinLabels
+from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched.on_cells import either_way
 from ptd.methods.chen2023.elevation_histogram import ElevationsPass, outside
 from ptd.methods.chen2023.params import Chen2023Parameters
 from ptd.methods.chen2023.progressive_opening import potential_seeds
 from ptd.methods.chen2023.seed_clusters import noisy_seeds
-from ptd.passes import Int32, Method, Model, Pass, Points, State, UInt8
+from ptd.passes import Int32, Method, Pass, Points, State, UInt8
 from ptd.tin.mesh import Tin
 
 Bool = npt.NDArray[np.bool_]
@@ -101,34 +101,32 @@ class ChenPass(Pass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> ChenModel:
         """Find the seeds and densify the window's TIN."""
-        return ChenModel(self.params, points.xyz, window, scale, state.get("tails"))
+        return ChenModel(self.params, points, window, scale, state.get("tails"))
 
 
-class ChenModel(Model):
+class ChenModel(TinLabels):
     """A window's finished TIN."""
 
     def __init__(
         self,
         params: Chen2023Parameters,
-        candidates: Int32,
+        points: Points,
         window: Window,
         scale: Scale,
         tails: list[int] | None,
     ) -> None:
         self.params, self._scale, self._tails = params, scale, tails
-        self._closed = window.closed
-        self.limits = params.limits(scale)
         self._cells = Cells.of(params.thin_cell_m, scale)
-        x, y, z = (np.ascontiguousarray(c) for c in candidates)
+        x, y, z = points.columns()
         keep = lowest_per_cell(x, y, z, self._cells)
         x, y, z = x[keep], y[keep], z[keep]
         low, other = self._outliers(x, y, z)
         outliers = {"low_outliers": int(low.sum()), "other_outliers": int(other.sum())}
-        self.stats: dict[str, Any] = {"candidates": int(x.size), **outliers, "windows": params.widths}
-        self.stats |= dict.fromkeys(("potential_seeds", "noisy_seeds", "rounds", "vertices"), 0)
-        self.terrain: Terrain | None = None
+        stats: dict[str, Any] = {"candidates": int(x.size), **outliers, "windows": params.widths}
+        stats |= dict.fromkeys(("potential_seeds", "noisy_seeds", "rounds", "vertices"), 0)
+        super().__init__(window.closed, stats)
         if not (low | other).all():
-            self._low = LowNoise(x[low], y[low], z[low], self._cells)
+            self.low = LowNoise(x[low], y[low], z[low], self._cells)
             self._densify(x, y, z, low | other, window)
 
     def _outliers(self, x: Int32, y: Int32, z: Int32) -> tuple[Bool, Bool]:
@@ -142,7 +140,7 @@ class ChenModel(Model):
 
     def _densify(self, x: Int32, y: Int32, z: Int32, outlier: Bool, window: Window) -> None:
         p, scale = self.params, self._scale
-        ring_cells = Cells.of(p.ring_cell_m, scale)
+        limits, ring_cells = p.limits(scale), Cells.of(p.ring_cell_m, scale)
         # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
         known = window.inside(self._cells, p.margin_cells)
         doubt = Doubt(known, known.inside(ring_cells, RING), box_with_ring(x, y, ring_cells), scale)
@@ -156,12 +154,10 @@ class ChenModel(Model):
             seeds[noise] = False
             tin = _triangulate(x, y, z, seeds, ring)
         state = np.where(outlier, REFUSED, np.where(seeds, VERTEX, 0)).astype(np.uint8)
-        _, rounds = densify(tin, x, y, z, state, self.limits, p.rounds, doubt)
-        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        _, rounds = densify(tin, x, y, z, state, limits, p.rounds, doubt)
         floor = scale.counts(p.label_floor_m) if p.label_pass else 0.0
-        rule = GroundRule(self.limits, floor, vertices_only=not p.label_pass)
-        self.terrain = Terrain(tin, in_doubt, self._low, rule)
-        self.stats.update(rounds=rounds, vertices=tin.n_vertices)
+        self.finish(tin, doubt.triangles(tin), GroundRule(limits, floor, vertices_only=not p.label_pass))
+        self.stats.update(rounds=rounds)
 
     def _noise(
         self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: Doubt
@@ -170,18 +166,16 @@ class ChenModel(Model):
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # No two seeds share a position, nor does one with the ring: the ring lies in cells without seeds.
         real = np.isin(positions(vx, vy), positions(ring[:, 0], ring[:, 1]), invert=True)
-        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
-        noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), in_doubt)
+        noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), doubt.triangles(tin))
         doubt.add_points(vx, vy, unsure)
         return seeds[np.isin(positions(x[seeds], y[seeds]), positions(vx[noise], vy[noise]))]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Labels and marks of points of the window."""
-        if self.terrain is None:
-            return unlabelled(points, self._closed)
-        labels, marked = self.terrain.label(points)
-        below, _ = outside(points.xyz[2], self._scale, self._tails)
-        labels[below & (labels != GROUND)] = LOW_NOISE
+        labels, marked = super().label(points)
+        if self.tin is not None:
+            below, _ = outside(points.xyz[2], self._scale, self._tails)
+            labels[below & (labels != GROUND)] = LOW_NOISE
         return labels, marked
 
 

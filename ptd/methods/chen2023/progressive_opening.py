@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from ptd.cells import Int32
 from ptd.frame import Cells, Window
@@ -152,26 +153,10 @@ def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[
         before = opened.astype(np.int64)
     unsure = np.zeros(objects.shape, np.bool_)
     if known is not None and not known.all():
-        doubtful = _distance_to_unknown(known) <= np.where(layers < 0, reach, layers)
+        to_unknown = scipy.ndimage.distance_transform_cdt(known, "chessboard")
+        doubtful = to_unknown <= np.where(layers < 0, reach, layers)
         unsure = _runs(doubtful[inner], 2 * reach + 1, np.logical_or)
     return objects, unsure
-
-
-def _distance_to_unknown(known: Bool) -> npt.NDArray[np.int64]:
-    """Rows or columns from each cell to the nearest unknown one, 0 in such a cell; what is known is a rectangle."""
-    rows, columns = (_to_false(np.asarray(known.any(axis=axis))) for axis in (1, 0))
-    return np.minimum(rows[:, None], columns[None, :])
-
-
-def _to_false(line: Bool) -> npt.NDArray[np.int64]:
-    """Distance to the nearest False of a line with at most one run of True; what is beyond the line is as its end."""
-    index, far = np.arange(line.size), np.int64(2 * line.size)
-    if not line.any():
-        return np.zeros(line.size, np.int64)
-    first, last = int(line.argmax()), line.size - 1 - int(line[::-1].argmax())
-    west = np.where(line, index - first + 1, 0) if first > 0 else np.where(line, far, 0)
-    east = np.where(line, last - index + 1, 0) if last < line.size - 1 else np.where(line, far, 0)
-    return np.minimum(west, east)
 
 
 def potential_seeds(

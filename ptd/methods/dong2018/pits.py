@@ -6,7 +6,7 @@ import numpy as np
 
 from ptd.cells import Int32, Int64, cell_keys, lowest_per_cell
 from ptd.frame import Cells, Scale
-from ptd.ground.labelling import LowNoise
+from ptd.ground.outliers import LowNoise
 from ptd.kernel import kernel
 
 CELL_M = 1.0

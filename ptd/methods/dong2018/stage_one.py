@@ -14,11 +14,11 @@ from ptd.frame import Cells, Scale, Window
 from ptd.ground import roughness
 from ptd.ground.densify import densify_seeds
 from ptd.ground.distance_angle import Bool
-from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, LowNoise, Terrain, unlabelled
-from ptd.methods.classic import ClassicModel, thinned
+from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, TinLabels
+from ptd.methods.classic import ClassicPass, thinned
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.params import Dong2018Parameters
-from ptd.passes import Int32, Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
+from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
 
 SPARSE_M2 = 1.0
 """Points per square metre below which no plausible noise matters."""
@@ -113,27 +113,25 @@ class StageOnePass(Pass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         """Densify the window's TIN."""
         if not state["dense"]:
-            return ClassicModel(self.params.classic(), points.xyz, window, scale)
-        return StageOneModel(self.params, points.xyz, window, scale, state)
+            return ClassicPass(self.params.classic()).fit(points, window, core, scale, state)
+        return StageOneModel(self.params, points, window, scale, state)
 
 
-class StageOneModel(Model):
+class StageOneModel(TinLabels):
     """The TIN of a window after stage one."""
 
     def __init__(
-        self, params: Dong2018Parameters, xyz: Int32, window: Window, scale: Scale, state: State
+        self, params: Dong2018Parameters, points: Points, window: Window, scale: Scale, state: State
     ) -> None:
-        self._scale, self._closed = scale, window.closed
-        x, y, z = (np.ascontiguousarray(c) for c in xyz)
-        self._terrain: Terrain | None = None
-        self.stats: dict[str, Any] = {"candidates": 0, "rounds": 0, "pit_points": 0, "vertices": 0}
+        super().__init__(window.closed, {"candidates": 0, "rounds": 0, "pit_points": 0, "vertices": 0})
+        x, y, z = points.columns()
         if not x.size:
             return
         self._depth = math.ceil(scale.counts_z(params.pit_sigmas * state["sigma_m"]))
         self._pits = pits.pits(x, y, z, params.pit_sigmas * state["sigma_m"], scale)
         low = self._pits.holds(x, y, z)
         cell = float(state["thin_cell_m"])
-        x, y, z = thinned(np.stack([x, y, z])[:, ~low], cell, scale)
+        x, y, z = thinned((x[~low], y[~low], z[~low]), cell, scale)
         edge = even_edge_m(state["threshold_m2"])
         limits = replace(params, edge_length_stop_m=max(params.edge_length_stop_m, edge)).limits(scale)
         cells = Cells.of(cell, scale)
@@ -147,20 +145,15 @@ class StageOneModel(Model):
             known,
             scale,
         )
-        none = np.zeros(0, np.int32)
-        rule = GroundRule(limits, 0.0, vertices_only=True)
-        self._terrain = Terrain(tin, in_doubt, LowNoise(none, none, none, cells), rule)
-        self.stats.update(
-            candidates=int(x.size), rounds=rounds, pit_points=int(low.sum()), vertices=tin.n_vertices
-        )
+        self.stats.update(candidates=int(x.size), rounds=rounds, pit_points=int(low.sum()))
+        self.finish(tin, in_doubt, GroundRule(limits, 0.0, vertices_only=True))
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Vertices are ground, points in pits below the TIN low noise."""
-        if self._terrain is None:
-            return unlabelled(points, self._closed)
-        labels, marked = self._terrain.label(points)
-        x, y, z = points.columns()
-        low = np.flatnonzero((labels != GROUND) & self._pits.holds(x, y, z))
-        below = z[low] < self._terrain.tin.heights(x[low], y[low]) - self._depth
-        labels[low[below]] = LOW_NOISE
+        labels, marked = super().label(points)
+        if self.tin is not None:
+            x, y, z = points.columns()
+            low = np.flatnonzero((labels != GROUND) & self._pits.holds(x, y, z))
+            below = z[low] < self.tin.heights(x[low], y[low]) - self._depth
+            labels[low[below]] = LOW_NOISE
         return labels, marked

@@ -196,7 +196,7 @@ def contradicted(
     n = tin.n_vertices
     if confidence == 1.0:
         return np.zeros(n, np.bool_)
-    in_doubt = doubt.triangles(*tin.mesh, tin.n_triangles)
+    in_doubt = doubt.triangles(tin)
     statistic, residual, observations, unsure = _statistics(tin.mesh, n, data, in_doubt, length)
     xyz = tin.vertices
     doubt.add_points(np.ascontiguousarray(xyz[:, 0]), np.ascontiguousarray(xyz[:, 1]), unsure)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -14,13 +15,13 @@ from ptd.cells import lowest_per_cell
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.certificates import Doubt
 from ptd.ground.distance_angle import Bool
-from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, LowNoise, Terrain, unlabelled
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, TinLabels
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.seeds import Prepared
 from ptd.methods.ridge2016.sorted_cells import places_in_stacks
 from ptd.methods.ridge2016.thinned_densification import Tally
-from ptd.passes import Model, Pass, Points, State, UInt8, noted
+from ptd.passes import Pass, Points, State, UInt8, noted
 from ptd.tin.mesh import Tin
 
 SEED = 8
@@ -84,17 +85,16 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
     return last, note
 
 
-class GrowthModel(Model):
+class GrowthModel(TinLabels):
     """What joins the terrain class of a window's core, round by round, and the vertices of each round."""
 
     def __init__(
         self, params: Ridge2016Parameters, points: Points, window: Window, core: Window, scale: Scale
     ) -> None:
-        self.stats: dict[str, Any] = {"points": len(points), "rounds": 0}
+        super().__init__(window.closed, {"points": len(points), "rounds": 0})
         self._points = int(core.has(points.xyz[0], points.xyz[1]).sum())
         self._gained, self._unsure = np.zeros(params.rounds, np.int64), np.zeros(params.rounds, np.int64)
         self._prepared: Prepared | None = None
-        self._closed = window.closed
         if len(points):
             self._prepared = Prepared(params, points.columns(), window, scale)
             # A window that is the whole run sees its last round itself. More are run, for `--statistics` of another
@@ -122,7 +122,7 @@ class GrowthModel(Model):
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """The round in which a point became a vertex; low noise; all else is unclassified. All in doubt is marked."""
         if self._prepared is None:
-            return unlabelled(points, self._closed)
+            return super().label(points)
         s, (x, y, z) = self._prepared.stacks, points.columns()
         place = places_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
         labels = np.where(place >= 0, self._codes[place], np.uint8(UNCLASSIFIED))
@@ -157,15 +157,13 @@ class TerrainPass(Pass):
         return TerrainModel(self.params, points, window, scale, state["ridge2016"]["rounds"])
 
 
-class TerrainModel(Model):
+class TerrainModel(TinLabels):
     """A window's TIN of a round."""
 
     def __init__(
         self, params: Ridge2016Parameters, points: Points, window: Window, scale: Scale, rounds: int
     ) -> None:
-        self._closed = window.closed
-        self.stats: dict[str, Any] = {"points": len(points), "rounds": rounds, "vertices": 0}
-        self._terrain: Terrain | None = None
+        super().__init__(window.closed, {"points": len(points), "rounds": rounds, "vertices": 0})
         labels = points.known_labels()
         x, y, z = points.take(labels != LOW_NOISE).columns()
         if not x.size:
@@ -179,18 +177,12 @@ class TerrainModel(Model):
             lowest = lowest_per_cell(*vertices, thin)
             vertices = vertices[0][lowest], vertices[1][lowest], vertices[2][lowest]
         tin = Tin.build(*(np.concatenate([c, v]) for c, v in zip(vertices, virtual.T, strict=True)))
-        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
-        none = np.zeros(0, np.int32)
-        low = LowNoise(none, none, none, thin)
-        self._terrain = Terrain(
-            tin, in_doubt, low, GroundRule(params.limits(scale), scale.counts(params.label_floor_m))
-        )
-        self.stats.update(vertices=tin.n_vertices)
+        rule = GroundRule(params.limits(scale), scale.counts(params.label_floor_m))
+        self.finish(tin, doubt.triangles(tin), rule)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Labels and marks of points of the window; what was low noise stays so unless it is ground."""
-        found = unlabelled(points, self._closed) if self._terrain is None else self._terrain.label(points)
-        labels, marked = found
+        labels, marked = super().label(points)
         labels[(labels != GROUND) & (points.known_labels() == LOW_NOISE)] = LOW_NOISE
         return labels, marked
 
@@ -203,27 +195,14 @@ class RidgePass(Pass):
     name: str = "ridge2016"
     title = "grow the terrain, label all points"
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> RidgeModel:
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
         """Densify by all rounds."""
-        return RidgeModel(self.params, points, window, scale)
-
-
-class RidgeModel(Model):
-    """A window's finished TIN."""
-
-    def __init__(self, params: Ridge2016Parameters, points: Points, window: Window, scale: Scale) -> None:
-        self.stats: dict[str, Any] = {"points": len(points), "rounds": 0}
-        self._closed = window.closed
-        self.terrain: Terrain | None = None
+        found = TinLabels(window.closed, {"points": len(points), "rounds": 0})
         if not len(points):
-            return
-        prepared = Prepared(params, points.columns(), window, scale)
-        for done, (tin, in_doubt, _) in enumerate(islice(prepared.rounds(), params.rounds), 1):
-            self.terrain = Terrain(tin, in_doubt, prepared.low, GroundRule(prepared.limits, prepared.floor))
-            self.stats.update(prepared.counts, rounds=done, vertices=tin.n_vertices)
-
-    def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Labels and marks of points of the window."""
-        if self.terrain is None:
-            return unlabelled(points, self._closed)
-        return self.terrain.label(points)
+            return found
+        prepared = Prepared(self.params, points.columns(), window, scale)
+        done, last = deque(enumerate(islice(prepared.rounds(), self.params.rounds), 1), maxlen=1).pop()
+        found.low = prepared.low
+        found.stats.update(prepared.counts, rounds=done)
+        found.finish(last.tin, last.in_doubt, GroundRule(prepared.limits, prepared.floor))
+        return found

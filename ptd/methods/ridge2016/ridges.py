@@ -229,11 +229,10 @@ def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: D
         facets in doubt, and the ridge points of facets near those.
     """
     n = tin.n_triangles
-    arrays = tin.vertex_array, tin.triangle_array
-    in_doubt = doubt.triangles(*arrays, n)
+    in_doubt = doubt.triangles(tin)
     xyz, known = Xyz(stacks.x, stacks.y, stacks.z), astuple(doubt.known)
     points, doubtful, chosen = _ridge_points(tin.mesh, n, data, rule, in_doubt, xyz, stacks.raster, known)
-    doubt.add_triangles(*arrays, in_doubt, rule.radius)
+    doubt.add_triangles(tin, in_doubt, rule.radius)
     doubt.add_points(stacks.x[points], stacks.y[points], doubtful)
     found: Int32 = np.unique(points[chosen])
     return found

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from ptd.cells import lowest_per_cell, positions
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.certificates import Doubt
-from ptd.ground.labelling import LowNoise
-from ptd.ground.outliers import low_outliers
+from ptd.ground.outliers import LowNoise, low_outliers
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.methods.ridge2016.conicoid import contradicted
 from ptd.methods.ridge2016.params import Ridge2016Parameters

@@ -226,7 +226,7 @@ def densify_thinned(
     while True:
         chosen = np.flatnonzero(vertex)
         tin = Tin.build(*(np.concatenate([c[chosen], virtual[:, k]]) for k, c in enumerate((x, y, z))))
-        in_doubt = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+        in_doubt = doubt.triangles(tin)
         yield Round(tin, in_doubt, vertex)
         kept = _test_stacks(tin.mesh, Xyz(x, y, z), stacks.starts, limits, in_doubt, vertex, doubtful)
         spread = doubt.add_points(x, y, doubtful)

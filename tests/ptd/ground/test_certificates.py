@@ -191,7 +191,7 @@ def triangle(*corners: tuple[int, int]) -> Tin:
 
 def doubt_of(tin: Tin, doubt: Doubt) -> list[bool]:
     """Of the real triangles."""
-    found = doubt.triangles(tin.vertex_array, tin.triangle_array, tin.n_triangles)
+    found = doubt.triangles(tin)
     return [bool(found[t]) for t in range(tin.n_triangles) if not tin.is_ghost(t)]
 
 
@@ -294,7 +294,7 @@ def test_places_near_triangles_are_in_doubt(corners: list[tuple[int, int]], reac
     doubt = Doubt(known, known, (0, 0, 60_000, 60_000), Scale())
     tin = triangle(*corners)
     which = np.ones(tin.n_triangles, np.uint8)
-    doubt.add_triangles(tin.vertex_array, tin.triangle_array, which, reach)
+    doubt.add_triangles(tin, which, reach)
     u, v = np.random.default_rng(seed).random((2, 4000))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     a, b, c = np.array(corners)

@@ -10,7 +10,8 @@ import pytest
 from ptd.cells import Xyz
 from ptd.frame import Cells, Scale
 from ptd.ground.criteria import Limits
-from ptd.ground.labelling import GroundRule, LowNoise, _is_near, label_points
+from ptd.ground.labelling import GroundRule, _is_near, label_points
+from ptd.ground.outliers import LowNoise
 from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
 

@@ -58,8 +58,7 @@ def test_its_tin_is_that_of_classic_on_the_thinned_cloud() -> None:
     tins = []
     for params in (Rarefy(thin_cell_m=2.0), Classic(thin_cell_m=2.0)):
         model = params.passes[0].fit(Points(cloud), window, window, SCALE, {})
-        assert model.terrain is not None  # type: ignore[attr-defined]
-        tin = model.terrain.tin  # type: ignore[attr-defined]
+        tin = model.tin  # type: ignore[attr-defined]
         tins.append(tin.vertices[tin.facets()])
     assert np.array_equal(*tins)
 

@@ -24,21 +24,21 @@ def test_points_take_the_code_of_their_cell(far: int) -> None:
     x, y = np.array([300, 1300, far], np.int32), np.array([550, 550, 1550], np.int32)
     doubtful = np.array([False, True, False])
     window = Window(300, 550, 2_000_000_500, 2_550)
-    model = CellCodes(x, y, np.array([3, 4, 7], np.uint8), doubtful, CELLS, window, 1, {"cells": 3})
+    model = CellCodes(x, y, np.array([3, 4, 7], np.uint8), CELLS, window, {"seeds": 2}, doubtful)
     given = points(
         (1299, 1549, 5), (300, 550, -5), (1300, 600, 0), (far + 9, 1600, 0), (299, 550, 0), (700, 1550, 0)
     )
     codes, marks = model.label(given)
     assert codes.tolist() == [3, 3, 4, 7, 1, 1]
     assert marks.tolist() == [False, False, True, False, True, False]
-    assert model.stats == {"cells": 3}
+    assert model.stats == {"cells": 3, "seeds": 2}
 
 
 def test_without_a_point_all_is_missing() -> None:
     none = np.zeros(0, np.int32)
-    empty = CellCodes(none, none, np.zeros(0, np.uint8), np.zeros(0, bool), CELLS, Window.everything(), 5, {})
+    empty = CellCodes(none, none, np.zeros(0, np.uint8), CELLS, Window.everything(), {})
     codes, marks = empty.label(points((1, 2, 3)))
-    assert (codes.tolist(), marks.tolist()) == ([5], [False])
+    assert (codes.tolist(), marks.tolist()) == ([1], [False])
 
 
 def test_the_lowest_point_of_a_cell_and_its_label() -> None:

@@ -87,7 +87,6 @@ def test_the_pass_counts_the_lowest_point_of_each_cell_of_the_core_once() -> Non
     core = Window(1000, 0, 9000, 9000)
     model = step.fit(Points(cloud), Window.everything(), core, Scale(), {})
     assert model.partial() == {"elevations": [(5, 1), (7, 1)]}
-    assert model.label(Points(cloud))[0].tolist() == [0, 0, 0, 0]
 
 
 def test_the_state_and_its_notes() -> None:
