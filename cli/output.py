@@ -57,7 +57,7 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
     Parameters
     ----------
     density : mapping
-        As `tiler.apps.info.density_map` gives it.
+        As `tiler.apps.cloud_facts.density_map` gives it.
     encoding : str or None
         Of the terminal; shades are letters where it has no blocks.
     """

@@ -13,6 +13,7 @@ from tests.invariants import clouds
 from tests.invariants.runs import do, dtm
 from tests.scenes.ept_files import write_ept
 from tests.tiler.servers import http_server
+from tiler.apps.info import describe
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
 from tiler.ingest import find_inputs, read_point_tiles
@@ -42,6 +43,16 @@ def test_its_points_give_the_terrain_of_the_cloud(city: laspy.LasData, ept: Path
     np.testing.assert_array_equal(dtm(tmp_path / "tiles")[0], dtm(tmp_path / "cloud")[0])
     written = sorted(p.name for p in (tmp_path / "tiles/classified/ept-data").iterdir())
     assert written == sorted(p.name for p in (ept.parent / "ept-data").iterdir())
+
+
+def test_it_is_described_by_its_hierarchy(city: laspy.LasData, ept: Path) -> None:
+    facts = describe(str(ept))
+    assert (facts["kind"], facts["format"], facts["points"]) == ("cloud", "EPT", len(city.points))
+    assert facts["nodes"] == len(list((ept.parent / "ept-data").iterdir()))
+    x0, y0, x1, y1 = facts["bounds"]
+    assert x0 <= city.x.min() < city.x.max() <= x1
+    assert y0 <= city.y.min() < city.y.max() <= y1
+    assert "UTM zone 32N" in facts["crs"]
 
 
 def test_a_window_over_http_reads_the_nodes_near_it(

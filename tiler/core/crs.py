@@ -38,3 +38,12 @@ def same_horizontal(one: CRS, other: CRS) -> bool:
     code = one.to_epsg()
     factors = [c.axis_info[0].unit_conversion_factor for c in (one, other) if c.axis_info]
     return code is not None and code == other.to_epsg() and len(set(factors)) == 1
+
+
+def crs_name(wkt: str | None) -> str:
+    """The name of a CRS and its code, where it has one; ``none`` for no CRS."""
+    if wkt is None:
+        return "none"
+    crs = CRS.from_user_input(wkt)
+    code = crs.to_authority(min_confidence=100)
+    return f"{crs.name} ({':'.join(code)})" if code else crs.name

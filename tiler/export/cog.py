@@ -42,7 +42,7 @@ class Statistics:
     mean: float = 0.0
     squares: float = 0.0
 
-    def merged(self, block: npt.NDArray[np.float32], nodata: float | None = NODATA) -> Statistics:
+    def merged(self, block: npt.NDArray[Any], nodata: float | None = NODATA) -> Statistics:
         """These and one more block's (Chan, Golub and LeVeque 1979, eq. 2.1)."""
         values = (block.ravel() if nodata is None else block[block != np.float32(nodata)]).astype(np.float64)
         if values.size == 0:

@@ -103,15 +103,20 @@ def node_files(tiles: PointTiles, touches: Touches | None = None) -> list[Path]:
     InputError
         A page of the hierarchy is damaged or missing.
     """
+    names = ["-".join(map(str, key)) for key in sorted(node_counts(tiles, touches))]
+    return [cloud_path(tiles.place("ept-data", f"{name}.laz")) for name in names]
+
+
+def node_counts(tiles: PointTiles, touches: Touches | None = None) -> dict[tuple[int, ...], int]:
+    """Number of points of each node that holds some, by level, column, row and layer; else as `node_files`."""
     counts: dict[tuple[int, ...], int] = {}
     for key, count in _nodes(tiles, touches):
         if counts.setdefault(key, count) != count or len(counts) > MOST_NODES:
             name = "-".join(map(str, key))
             _refuse(tiles.text, f"its hierarchy names the node {name} twice, or more than {MOST_NODES} nodes")
-    names = ["-".join(map(str, key)) for key in sorted(counts) if counts[key]]
-    if not names and touches is None:
+    if not any(counts.values()) and touches is None:
         _refuse(tiles.text, "its hierarchy names no points")
-    return [cloud_path(tiles.place("ept-data", f"{name}.laz")) for name in names]
+    return {key: count for key, count in counts.items() if count}
 
 
 def _nodes(tiles: PointTiles, touches: Touches | None) -> Iterator[tuple[tuple[int, ...], int]]:

@@ -11,7 +11,8 @@ import pytest
 import rasterio
 from affine import Affine
 
-from tiler.apps.info import density_map, describe
+from tiler.apps.cloud_facts import density_map
+from tiler.apps.info import describe
 from tiler.errors import InputError
 
 

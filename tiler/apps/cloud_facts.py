@@ -1,0 +1,123 @@
+"""What a cloud holds, as plain facts; imported where a cloud is described."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.classes import SYNTHETIC_FLAG, WITHHELD_FLAG
+from tiler.core.crs import crs_name
+from tiler.core.units import unit_label
+from tiler.ingest import inspect
+from tiler.ingest.point_tiles import node_counts, read_point_tiles
+from tiler.io.las.columns import class_and_flags, coordinate
+from tiler.io.las.headers import read_header
+from tiler.io.las.reader import NEEDED, PointReader
+
+_POINTS_PER_CELL = 16
+_MOST_CELLS = 1024
+"""Mean points of a cell, and most cells along a side, of the raster that measures how much of the extent is filled."""
+
+_MAP_COLUMNS, _MAP_ROWS = 64, 24
+"""Size of the density map at most, in characters."""
+
+
+def describe_cloud(path: Path) -> dict[str, Any]:
+    """Facts of a LAS or LAZ file: its header as far as it is true, its units, density and classes."""
+    info = inspect(path)
+    place = info.georeference
+    facts = {
+        "kind": "cloud",
+        "path": str(path),
+        "size_bytes": info.size,
+        "format": f"{'LAZ' if info.compressed else 'LAS'}{', COPC' if info.copc else ''}",
+        "las_version": info.version,
+        "point_format": info.point_format,
+        "points": info.points,
+        "bounds": list(info.bounds) if info.bounds else None,
+        "scales": list(info.scales),
+        "crs": place.name or "none",
+        "crs_kind": place.kind,
+        "horizontal_unit": unit_label(place.horizontal) if place.horizontal else "unknown",
+        "vertical_unit": unit_label(place.vertical) if place.vertical else "not declared",
+    }
+    metres = float(place.horizontal or 1)
+    return {**facts, **_point_facts(path, info.bounds, metres), "notes": list(info.notes)}
+
+
+def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) -> dict[str, Any]:
+    """Density, classes, returns and flags, from all points; one piece is in memory at a time."""
+    if bounds is None:
+        return {}
+    header = read_header(path)
+    classes, flagged = np.zeros(256, np.int64), np.zeros(256, np.int64)
+    x0, y0, _, x1, y1, _ = bounds
+    extent, longer = (x1 - x0) * (y1 - y0), max(x1 - x0, y1 - y0)
+    cell = max(math.sqrt(extent * _POINTS_PER_CELL / header.point_count), longer / _MOST_CELLS) or 1.0
+    last = int(longer / cell)
+    counts = np.zeros((last + 1, last + 1), np.int64)
+    with PointReader(header, NEEDED) as reader:
+        for records in reader.pieces():
+            codes, flags = class_and_flags(records, header.point_format)
+            classes += np.bincount(codes, minlength=256)
+            flagged += np.bincount(flags, minlength=256)
+            column, row = (
+                np.clip((coordinate(records, header, axis) - low) / cell, 0, last).astype(np.intp)
+                for axis, low in enumerate((x0, y0))
+            )
+            counts += np.bincount(row * (last + 1) + column, minlength=counts.size).reshape(counts.shape)
+    area = min(int(np.count_nonzero(counts)) * cell**2, extent) * metres**2
+    bits = np.arange(256)
+    return {
+        "density_per_m2": header.point_count / area if area > 0 else None,
+        "density_map": density_map(counts, cell * metres),
+        "classes": {str(c): int(n) for c, n in enumerate(classes) if n},
+        "withheld_points": int(flagged[(bits & WITHHELD_FLAG) > 0].sum()),
+        "synthetic_points": int(flagged[(bits & SYNTHETIC_FLAG) > 0].sum()),
+    }
+
+
+def describe_point_tiles(path: str) -> dict[str, Any]:
+    """Facts of an EPT data set, from its description and its hierarchy; its points are not read."""
+    tiles = read_point_tiles(path)
+    counts = node_counts(tiles)
+    return {
+        "kind": "cloud",
+        "path": path,
+        "format": "EPT",
+        "points": sum(counts.values()),
+        "nodes": len(counts),
+        "levels": max(key[0] for key in counts) + 1,
+        "bounds": list(tiles.box((0, 0, 0))),
+        "crs": crs_name(tiles.wkt),
+    }
+
+
+def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> dict[str, Any]:
+    """Density in places as high as two are wide, which is how a terminal's characters are.
+
+    Parameters
+    ----------
+    counts : int64, shape (rows, columns)
+        Points in square cells, row 0 in the south.
+    cell_m : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    dict
+        ``width_m`` and ``height_m`` of a place, ``per_m2``: rows from north to south of points per square metre.
+    """
+    filled = np.argwhere(counts)
+    high, wide = filled.max(axis=0) + 1 if len(filled) else (1, 1)
+    times = max(math.ceil(wide / _MAP_COLUMNS), math.ceil(high / (2 * _MAP_ROWS)))
+    rows, columns = math.ceil(high / (2 * times)), math.ceil(wide / times)
+    padded = np.zeros((rows * 2 * times, columns * times), np.int64)
+    padded[:high, :wide] = counts[:high, :wide]
+    sums = padded.reshape(rows, 2 * times, columns, times).sum(axis=(1, 3))[::-1]
+    width = times * cell_m
+    return {"width_m": width, "height_m": 2 * width, "per_m2": (sums / (2 * width**2)).round(3).tolist()}
