@@ -38,6 +38,14 @@ def north_west(block: Block) -> tuple[int, int]:
     return block.row, block.col
 
 
+def hull_of(blocks: Iterable[Block]) -> Block:
+    """The smallest block that holds some blocks, of which there is one at least."""
+    found = list(blocks)
+    row, col = min(b.row for b in found), min(b.col for b in found)
+    bottom, right = max(b.row + b.height for b in found), max(b.col + b.width for b in found)
+    return Block(row, col, bottom - row, right - col)
+
+
 @dataclass(frozen=True)
 class RasterSpec:
     """Place and size of a raster: its lattice, its north-west pixel, its rows and columns.

@@ -1,7 +1,7 @@
 """Grid: heights at pixel centres on the TIN of the merged ground points, and what follows, block by block."""
 
 from tiler.grid.blank import blank_blocks
-from tiler.grid.block import SMALLEST_PART, full_halo, grid_block
+from tiler.grid.block import SMALLEST_PART, full_halo, grid_block, grid_blocks, most_of_bucket
 from tiler.grid.bridges import examine_decks, examined, find_deck_cells
 from tiler.grid.density import density_block
 from tiler.grid.derived import derive_block
@@ -24,6 +24,7 @@ from tiler.grid.work import (
     FindDeckCells,
     FindWater,
     GridBlock,
+    GridBlocks,
     LevelWater,
     MakeSurvey,
     MaskBlock,
@@ -46,6 +47,7 @@ __all__ = [
     "FindDeckCells",
     "FindWater",
     "GridBlock",
+    "GridBlocks",
     "GroundRule",
     "LevelWater",
     "MakeSurvey",
@@ -69,8 +71,10 @@ __all__ = [
     "find_voids",
     "full_halo",
     "grid_block",
+    "grid_blocks",
     "level_water",
     "mask_block",
+    "most_of_bucket",
     "occupancy_block",
     "outline_block",
     "reach_pixels",

@@ -1,4 +1,4 @@
-"""One block of a raster: heights at pixel centres on the TIN of the ground points around it.
+"""Blocks of a raster: heights at pixel centres on the TIN of the ground points around them.
 
 The pixels depend on the data alone, not on the block or its halo: a facet fills a pixel only if its longest edge
 and its circumradius stay within a limit, so data farther than twice that limit have no say, and every pixel
@@ -8,7 +8,7 @@ that closer data beyond the window could change is marked. A block with marks is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, replace
 from fractions import Fraction
 from functools import partial
@@ -24,11 +24,11 @@ from tiler.core.edits import OF_PIXELS
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
-from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.core.raster import NODATA, Block, RasterSpec, hull_of
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
 from tiler.grid.ground import Ground, central_points, ranked_points, read_ground
-from tiler.grid.work import GridBlock, TinBlock
+from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
 
 SMALLEST_PART = 32
@@ -66,14 +66,24 @@ def grid_block(store_url: str, work: GridBlock) -> dict[str, Any]:
     ProcessingError
         The window is too wide for the TIN, or the resolution too odd a fraction of the CRS's unit.
     """
-    store = open_store(store_url)
-    heights, record = _in_parts(store, work)
-    edited = edit_heights(store, work.rule.edits, work.spec, work.block, heights)
-    if edited:
-        filled = int(np.count_nonzero(heights != np.float32(NODATA)))
-        record |= {"filled": filled, "nodata": heights.size - filled, "edited": edited}
-    store.write_block(work.name, work.block, heights)
-    return {**record, "checksum": checksum(heights)}
+    (record,) = grid_blocks(store_url, GridBlocks((work,)))["parts"]
+    return dict(record)
+
+
+def grid_blocks(store_url: str, work: GridBlocks) -> dict[str, Any]:
+    """Write blocks of a raster that share a TIN; a `tiler.schedule.task.Work`.
+
+    The pixels are those of `grid_block`; so is the record of each block, in ``parts``, but for the ground points, which
+    are those of the window that it was made with.
+    """
+    store, parts = open_store(store_url), []
+    for block, heights, record in heights_of_blocks(store, work.blocks):
+        edited = edit_heights(store, block.rule.edits, block.spec, block.block, heights)
+        if edited:
+            record |= {**_counted(heights), "edited": edited}
+        store.write_block(block.name, block.block, heights)
+        parts.append({**record, "checksum": checksum(heights)})
+    return {"parts": parts}
 
 
 Heights = npt.NDArray[np.float32]
@@ -89,20 +99,69 @@ def edit_heights(
     return [] if edits is None else edits.set_heights(spec, block, heights)
 
 
-def _in_parts(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str, Any]]:
-    """As `block_heights`, in quarters where the window is too wide or too full; same pixels."""
-    if _too_wide(work, work.halo) and not store.buckets_within(_window(work, full_halo(work.max_edge))):
-        return _nothing(work.block, work.halo)
-    if _too_full(store, work, work.halo):
-        return _in_quarters(store, work)
-    return block_heights(store, work)
+def _counted(heights: Heights) -> dict[str, int]:
+    """How many pixels have a height, and how many none."""
+    filled = int(np.count_nonzero(heights != np.float32(NODATA)))
+    return {"filled": filled, "nodata": heights.size - filled}
+
+
+def heights_of_blocks(
+    store: TileStore, works: Sequence[GridBlock]
+) -> Iterator[tuple[GridBlock, Heights, dict[str, Any]]]:
+    """Heights of blocks that differ in their places alone, and the record of each, but for the checksum.
+
+    They share a TIN if that is not too wide or too full; else each has its own, and where that is too full its quarters
+    do. A block with marks is done again alone, with twice the halo.
+
+    Yields
+    ------
+    work : GridBlock
+    heights : float32, shape (height, width)
+        Vertical units of the CRS, `NODATA` where there is none.
+    record : dict
+    """
+    first = works[0]
+    pixel = math.ceil(first.spec.lattice.size)
+    yield from _heights(store, works, min(max(first.halo, pixel), _most_halo(first)), 1)
+
+
+def _most_halo(work: GridBlock) -> int:
+    return work.max_halo or full_halo(work.max_edge)
+
+
+def _heights(
+    store: TileStore, works: Sequence[GridBlock], halo: int, tries: int
+) -> Iterator[tuple[GridBlock, Heights, dict[str, Any]]]:
+    """As `heights_of_blocks`, of blocks that were tried before with less halo."""
+    whole = replace(works[0], block=hull_of(work.block for work in works))
+    if len(works) > 1 and _too_full(store, whole, halo):
+        for work in works:
+            yield from _heights(store, (work,), halo, tries)
+        return
+    if _too_wide(whole, halo) and not store.buckets_within(_window(whole, full_halo(whole.max_edge))):
+        yield whole, *_nothing(whole.block, halo)
+        return
+    if _too_full(store, whole, halo):
+        yield whole, *_in_quarters(store, whole, tries)
+        return
+    raster, ground = _attempt(store, whole, _window(whole, halo))
+    for work in works:
+        row, col = work.block.row - whole.block.row, work.block.col - whole.block.col
+        place = (slice(row, row + work.block.height), slice(col, col + work.block.width))
+        marked = int(raster.marks[place].sum())
+        if marked and halo < _most_halo(work):
+            yield from _heights(store, (work,), min(2 * halo, _most_halo(work)), tries + 1)
+            continue
+        heights = heights_in_units(raster.heights[place])
+        told = {"pixels": heights.size, "marked": marked, "tries": tries, "halo": halo}
+        yield work, heights, {**told, **_counted(heights), **ground}
 
 
 def _nothing(block: Block, halo: int) -> tuple[Heights, dict[str, Any]]:
-    """What `block_heights` would find far from all points."""
+    """What would be found far from all points."""
     heights = np.full((block.height, block.width), NODATA, np.float32)
-    none = dict.fromkeys(("filled", "marked", "ground_read", "ground_used", "ground_marked"), 0)
-    return heights, {"pixels": heights.size, "nodata": heights.size, **none, "tries": 1, "halo": halo}
+    none = dict.fromkeys(("marked", "ground_read", "ground_used", "ground_marked"), 0)
+    return heights, {"pixels": heights.size, **_counted(heights), **none, "tries": 1, "halo": halo}
 
 
 def _window(work: GridBlock, halo: int) -> Bounds:
@@ -122,14 +181,16 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
         return True
     if work.max_points is None or side <= SMALLEST_PART:
         return False
-    held = [info.n for info in store.buckets_within(_window(work, halo)).values()]
-    if work.thin is not None:
-        most = math.ceil(store.meta.bucket.size / work.thin.size + 1) ** 2
-        held = [min(points, most) for points in held]
-    return sum(held) > work.max_points
+    held = store.buckets_within(_window(work, halo)).values()
+    return sum(most_of_bucket(info.n, store.meta.bucket, work.thin) for info in held) > work.max_points
 
 
-def _in_quarters(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str, Any]]:
+def most_of_bucket(points: int, buckets: Lattice, thin: Lattice | None) -> int:
+    """Of the points of a bucket those that may make the surface, at most: one in each cell of ``thin``."""
+    return points if thin is None else min(points, math.ceil(buckets.size / thin.size + 1) ** 2)
+
+
+def _in_quarters(store: TileStore, work: GridBlock, tries: int) -> tuple[Heights, dict[str, Any]]:
     """A block, quarter by quarter."""
     row, col, height, width = astuple(work.block)
     heights = np.empty((height, width), np.float32)
@@ -138,58 +199,29 @@ def _in_quarters(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str, 
         for left, wide in ((0, width // 2), (width // 2, width - width // 2)):
             if tall == 0 or wide == 0:
                 continue
-            part, record = _in_parts(store, replace(work, block=Block(row + top, col + left, tall, wide)))
+            part, record = block_heights(store, replace(work, block=Block(row + top, col + left, tall, wide)))
             heights[top : top + tall, left : left + wide] = part
             total = {
                 k: (max if k in ("tries", "halo") else int.__add__)(total.get(k, 0), v)
                 for k, v in record.items()
             }
-    return heights, total
+    return heights, {**total, "tries": total["tries"] + tries - 1}
 
 
 def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str, Any]]:
-    """Heights of any block, and the record, but for the checksum; see `grid_block`.
-
-    Where marks ask for a wider window and that would hold too many points, quarters of the block go on.
-
-    Returns
-    -------
-    heights : float32, shape (height, width)
-        Vertical units of the CRS, `NODATA` where there is none.
-    record : dict
-    """
-    bounds = work.spec.block_bounds(work.block)
-    max_halo = work.max_halo or full_halo(work.max_edge)
-    halo = min(max(work.halo, math.ceil(work.spec.lattice.size)), max_halo)
-    tries = 1
-    while True:
-        heights, record = _attempt(store, work, bounds.pad(halo))
-        if record["marked"] == 0 or halo >= max_halo:
-            return heights, {**record, "tries": tries, "halo": halo}
-        halo, tries = min(2 * halo, max_halo), tries + 1
-        if _too_full(store, work, halo):
-            heights, record = _in_quarters(store, work)
-            return heights, {**record, "tries": record["tries"] + 1}
+    """Heights of any block, and the record, but for the checksum; see `heights_of_blocks`."""
+    ((_, heights, record),) = heights_of_blocks(store, (work,))
+    return heights, record
 
 
-def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Heights, dict[str, Any]]:
-    """Heights of a block from what a window holds, and the record."""
+def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Raster, dict[str, int]]:
+    """Heights and marks of a block from what a window holds, and the ground points of that."""
     ground, xyz = _ground(store, work, window)
     if work.breaklines is not None:
         lines = store.breaklines(work.breaklines)
         xyz = lines.applied(xyz, window, work.data, store.meta.frame.origin)
-    raster = rasterise_window(store, work, window, xyz)
-    heights = heights_in_units(raster)
-    filled = int(np.count_nonzero(heights != np.float32(NODATA)))
-    return heights, {
-        "pixels": heights.size,
-        "filled": filled,
-        "nodata": heights.size - filled,
-        "marked": int(raster.marks.sum()),
-        "ground_read": ground.read,
-        "ground_used": xyz.shape[1],
-        "ground_marked": ground.marked,
-    }
+    counts = {"ground_read": ground.read, "ground_used": xyz.shape[1], "ground_marked": ground.marked}
+    return rasterise_window(store, work, window, xyz), counts
 
 
 def _ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Ground, npt.NDArray[np.int32]]:
@@ -276,8 +308,8 @@ def rasterise_window(store: TileStore, work: TinBlock, window: Bounds, xyz: npt.
         ) from error
 
 
-def heights_in_units(raster: Raster) -> npt.NDArray[np.float32]:
-    """Heights in vertical units of the CRS, `NODATA` where there are none."""
-    heights = (raster.heights / COUNTS_PER_UNIT).astype(np.float32)
-    heights[np.isnan(raster.heights)] = NODATA
+def heights_in_units(counts: npt.NDArray[np.float64]) -> Heights:
+    """Heights in vertical units of the CRS, `NODATA` where there are none, of such in counts with NaN there."""
+    heights = (counts / COUNTS_PER_UNIT).astype(np.float32)
+    heights[np.isnan(counts)] = NODATA
     return heights

@@ -82,7 +82,7 @@ def surface_heights(
         marks = raster.marks & ~measured
         marked = int(marks.sum())
         if marked == 0 or halo >= limit:
-            heights = np.where(measured, heights, heights_in_units(raster))
+            heights = np.where(measured, heights, heights_in_units(raster.heights))
             break
         tries += 1
     filled = int(np.count_nonzero(heights != np.float32(NODATA)))

@@ -101,7 +101,7 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
         if inside.any():
             rim = _rim(store, rasters, void)
             raster = rasterise(Tin.build(*rim), pixels_of(rasters.spec, block, store.meta.frame.origin))
-            heights = np.where(inside, heights_in_units(raster), heights)
+            heights = np.where(inside, heights_in_units(raster.heights), heights)
     edit_heights(store, work.edits, rasters.spec, block, heights)
     store.write_block(work.name, block, heights)
     after = int(np.count_nonzero(heights != np.float32(NODATA)))

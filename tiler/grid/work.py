@@ -98,6 +98,13 @@ class GridBlock(TinBlock):
     max_points: int | None = field(default=None, metadata=NOT_IN_DIGEST)
 
 
+@dataclass(frozen=True)
+class GridBlocks:
+    """Blocks of the terrain, which differ in their places alone, that are made from one TIN."""
+
+    blocks: tuple[GridBlock, ...]
+
+
 @dataclass(frozen=True, kw_only=True)
 class SurfaceBlock(TinBlock):
     """A block of the surface model.

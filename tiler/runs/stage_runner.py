@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 from tiler.core.frame import COUNTS_PER_UNIT
@@ -12,15 +13,24 @@ from tiler.runs import record
 from tiler.runs.compiling import Kernels
 from tiler.runs.job import Job
 from tiler.runs.worker import perform
-from tiler.schedule import Outcome, Placed, Task
+from tiler.schedule import Executor, Outcome, Placed, Task
 from tiler.store import Commits, store_exists
 
 PACKED_COMMITS = 256
 """From so many commits on, a stage packs them into one object when it ends: each costs a request to read."""
 
 
+Join = Callable[[list[Task], int], list[Task]]
+"""``join(tasks, workers)``: the tasks to do, some of them as parts of others."""
+
+
 def run_stage(
-    job: Job, stage: str, tasks: Iterable[Task], kernels: Kernels | None = None, writes_out: bool = False
+    job: Job,
+    stage: str,
+    tasks: Iterable[Task],
+    kernels: Kernels | None = None,
+    writes_out: bool = False,
+    join: Join | None = None,
 ) -> Commits:
     """Do what is not done yet of a stage; commits of all its tasks that succeeded.
 
@@ -33,6 +43,8 @@ def run_stage(
         Those that the stage uses: compiled once, before local workers would each do so.
     writes_out : bool
         The tasks write files into OUT.
+    join : callable, optional
+        Joins tasks that are cheaper if they are done at once.
 
     Raises
     ------
@@ -58,7 +70,7 @@ def run_stage(
         job.compiler.finish(kernels)
     job.listener("stage_started", info)  # once its kernels are there: its time is that of the work
     start, peak_rss, damaged = time.monotonic(), 0, set[str]()
-    for outcome in job.crew.executor(writes_out).run(perform, job.store.url, todo) if todo else ():
+    for outcome in _outcomes(job, job.crew.executor(writes_out), todo, join) if todo else ():
         job.record.tell_tile(outcome)
         _finished(job, outcome)
         job.ownership.check()
@@ -76,6 +88,18 @@ def run_stage(
     job.listener("stage_finished", {"stage": stage, "seconds": seconds})
     job.save_on_the_way()
     return dict(sorted(done.items()))
+
+
+def _outcomes(job: Job, executor: Executor, tasks: list[Task], join: Join | None) -> Iterator[Outcome]:
+    """Outcomes of single tasks, also of those that were joined: where that fails they are done one by one."""
+    alone: list[Task] = []
+    for outcome in executor.run(perform, job.store.url, join(tasks, executor.workers) if join else tasks):
+        if outcome.task.parts and outcome.record is None:
+            alone += outcome.task.parts
+            outcome = replace(outcome, task=outcome.task.parts[0], again=True)
+        yield from outcome.of_parts()
+    if alone:
+        yield from executor.run(perform, job.store.url, alone)
 
 
 def _finished(job: Job, outcome: Outcome) -> None:

@@ -69,7 +69,9 @@ def _worked(store_url: str, task: Task, committed: bool) -> Outcome:
     try:
         record = task.work(store_url, task.arguments)
         if committed:
-            open_store(store_url).commit(task.stage, task.key, task.digest, record)
+            store, made = open_store(store_url), record["parts"] if task.parts else [record]
+            for part, its_record in zip(task.parts or (task,), made, strict=True):
+                store.commit(part.stage, part.key, part.digest, its_record)
     except (KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
     except TilerError as error:

@@ -6,7 +6,6 @@ inherits its threads, and its exit code says what killed it.
 
 from __future__ import annotations
 
-import os
 import pickle
 import signal
 import struct
@@ -19,8 +18,7 @@ from types import TracebackType
 from typing import IO, Any, TypeAlias, TypeVar
 
 from tiler.errors import ConfigError, TilerError
-from tiler.import_path import trusted_path
-from tiler.schedule.fork_server import FORKS, ForkedChild, fork_child
+from tiler.schedule.fork_server import FORKS, ForkedChild, child_environment, fork_child
 
 try:
     import resource
@@ -156,14 +154,13 @@ def _child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | 
         raise ConfigError("no workers can start: Python does not know its own program (sys.executable)")
     if FORKS:
         return fork_child(memory_bytes, call, prepare)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
     limit = [] if memory_bytes is None else [str(memory_bytes)]
     return subprocess.Popen(
         [sys.executable, "-P", "-m", "tiler.schedule.guarded", *limit],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=environment,
+        env=child_environment(),
     )
 
 

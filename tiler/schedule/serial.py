@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from tiler.schedule.task import TRIES, Look, Machine, Outcome, Perform, Task
+from tiler.schedule.task import Look, Machine, Outcome, Perform, Task
 
 
 class SerialExecutor:
@@ -23,9 +23,9 @@ class SerialExecutor:
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes in the order of the tasks."""
         for task in tasks:
-            for tries in range(1, TRIES + 1):
+            for tries in range(1, task.tries + 1):
                 outcome = perform(store_url, task)
-                again = outcome.again and tries < TRIES
+                again = outcome.again and tries < task.tries
                 yield replace(outcome, again=again)
                 if not again:
                     break

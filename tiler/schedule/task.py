@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from fractions import Fraction
 from typing import Any, Protocol, runtime_checkable
 
@@ -29,6 +29,10 @@ class Placed(Protocol):
         ...
 
 
+TRIES = 3
+"""How often a task is tried; then it is given up, and the rest goes on."""
+
+
 @dataclass(frozen=True)
 class Task:
     """One unit of work, of resume and of retry.
@@ -47,6 +51,9 @@ class Task:
         What `work` gets: frozen, small, of values that `digest_of` knows.
     points : int
         How much there is to do, for progress and ETA.
+    parts : tuple of Task
+        That this one does at once: its record has theirs, in their order, as ``parts``, and each is committed by
+        itself. It is tried once; if it fails, they are done one by one.
     """
 
     stage: str
@@ -55,6 +62,12 @@ class Task:
     work: Work
     arguments: Any = None
     points: int = 0
+    parts: tuple[Task, ...] = ()
+
+    @property
+    def tries(self) -> int:
+        """How often it is tried."""
+        return 1 if self.parts else TRIES
 
 
 @dataclass(frozen=True)
@@ -81,9 +94,16 @@ class Outcome:
     fatal: bool = False
     damaged: tuple[str, ...] = ()
 
-
-TRIES = 3
-"""How often a task is tried; then it is given up, and the rest goes on."""
+    def of_parts(self) -> list[Outcome]:
+        """What became of each part of a task that was done, or of the task itself; the time is shared by points."""
+        parts, record = self.task.parts, self.record
+        if not parts or record is None:
+            return [self]
+        share = self.seconds / max(sum(part.points for part in parts), 1)
+        return [
+            replace(self, task=part, record=made, seconds=share * part.points)
+            for part, made in zip(parts, record["parts"], strict=True)
+        ]
 
 
 @dataclass(frozen=True)

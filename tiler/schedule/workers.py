@@ -32,7 +32,7 @@ from tiler.schedule.children import (
     perform_in_child,
 )
 from tiler.schedule.local_cluster import cluster_here
-from tiler.schedule.task import TRIES, Limits, Look, Machine, Outcome, Perform, Task
+from tiler.schedule.task import Limits, Look, Machine, Outcome, Perform, Task
 
 WAITING_PER_WORKER = 1
 """Tasks of a cluster that wait at their worker, so that it does not idle while the client hears of a result."""
@@ -190,7 +190,7 @@ class DaskExecutor:
 
     def _outcome(self, future: Any, this: _Try) -> Outcome:
         """What became of a try."""
-        again = this.number < TRIES
+        again = this.number < this.task.tries
         if future.cancelled():
             return self._cut_off(this)
         error = future.exception()

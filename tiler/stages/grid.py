@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from tiler.plan import KEEP
 from tiler.plan.advice import roofs_in_terrain
 from tiler.runs.compiling import grid_kernels
 from tiler.runs.job import Job
-from tiler.runs.stage_runner import run_stage
+from tiler.runs.stage_runner import Join, run_stage
 from tiler.runs.worker import compute
 from tiler.schedule import Task, digest_of
 from tiler.stages.corrections import Corrections, tell_of_pixels
@@ -28,6 +29,7 @@ from tiler.stages.filter import kind_of
 from tiler.stages.gridding import Gridding, Raster
 from tiler.stages.raster_table import wanted
 from tiler.stages.raster_tasks import WHOLE
+from tiler.stages.shared_tins import joined_blocks
 from tiler.stages.tasks import Assembled
 from tiler.stages.water import find_waters, tell_of_waters
 from tiler.store import Commits, open_store
@@ -48,7 +50,8 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str], corrections: C
         if name == "dtm-outlined" and job.plan.config.water != NO_WATER:
             gridding.waters = find_waters(job, gridding)
         tasks = corrections.of_rasters(job.plan, name, raster.tasks(raster, gridding))
-        gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks)
+        join = partial(joined_blocks, job.plan, assembled.records) if name == "dtm" else None
+        gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks, join)
         if name == "dtm":
             tell_of_pixels(job, gridding.made[name])
             _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
@@ -88,7 +91,7 @@ def _holes(job: Job) -> list[Bounds]:
     return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in found]
 
 
-def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task]) -> Commits:
+def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task], join: Join | None) -> Commits:
     """Make one raster of the store."""
     name, stage = raster.name, raster.stage
     done, stale = job.sorted_out(stage, tasks)
@@ -102,7 +105,7 @@ def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task]) -> Comm
         job.take_back(stage, lost)
         _blank(job, name, spec, stored - done.keys())
     job.store.put_state(f"raster-{name}", spec.to_json())
-    made = run_stage(job, stage, tasks, grid_kernels(job.plan.config.interpolation))
+    made = run_stage(job, stage, tasks, grid_kernels(job.plan.config.interpolation), join=join)
     if tasks and not made:
         raise ProcessingError(f"no block of {name} could be made; the first: {job.record.failed[0]['error']}")
     return made

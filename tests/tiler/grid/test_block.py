@@ -11,11 +11,11 @@ from tests.scenes.ground_points import islands, l_shape, plane_points, scattered
 from tiler.core.classes import WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
-from tiler.core.raster import NODATA, RasterSpec
+from tiler.core.raster import NODATA, RasterSpec, north_west
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError
 from tiler.grid import GroundRule
-from tiler.grid.block import full_halo
+from tiler.grid.block import full_halo, heights_of_blocks
 
 METRE = Fraction(1000)
 
@@ -65,6 +65,24 @@ def test_blocks_do_not_show(make_scene, shape, max_edge):
         assert tiled.tobytes() == whole.tobytes()
         assert sum(r["marked"] for r in records) == 0
     assert 0 < np.count_nonzero(whole == np.float32(NODATA)) < whole.size
+
+
+@pytest.mark.parametrize("options", [{"halo": 50_000}, {"halo": 9_000}, {"halo": 9_000, "max_points": 2_000}])
+def test_blocks_that_share_a_tin_are_those_that_do_not(make_scene, options):
+    scene = make_scene(void(scattered(3_000, 140_000)), bucket=20_000)
+    options = {"max_edge": 12_000, **options}
+    alone, records = scene.grid(METRE, 48, **options)
+    spec = RasterSpec.covering(Lattice(METRE), scene.data)
+    works = [scene.work("", spec, block, **options) for block in spec.blocks(48)]
+    made = [part for some in (works[:3], works[3:]) for part in heights_of_blocks(scene.store, some)]
+    found = {work.block: (heights, record) for work, heights, record in made}
+    assert sorted(found, key=north_west) == [work.block for work in works]
+    for work, record in zip(works, records, strict=True):
+        b, (heights, joined) = work.block, found[work.block]
+        assert heights.tobytes() == alone[b.row : b.row + b.height, b.col : b.col + b.width].copy().tobytes()
+        assert joined["marked"] == record["marked"] == 0
+        assert (joined["pixels"], joined["filled"]) == (record["pixels"], record["filled"])
+    assert any(r["tries"] > 1 for _, r in found.values()) == (options["halo"] < 12_000)
 
 
 def test_the_frame_does_not_show(make_scene):

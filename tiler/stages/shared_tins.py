@@ -1,0 +1,152 @@
+"""Joins blocks of the terrain to tasks with one TIN each.
+
+A TIN sees the points around its blocks as well, so that few large ones triangulate fewer points than many small ones.
+Pixels, digests and commits are those of the blocks: what is done already stays done, whatever was joined then.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.lattice import Cell
+from tiler.core.raster import Block
+from tiler.grid import GridBlock, GridBlocks, grid_blocks, most_of_bucket
+from tiler.plan import Plan
+from tiler.plan.memory import GROUND_BYTES, JOINED_BYTES
+from tiler.schedule import Task
+
+PIXEL_BYTES = 50
+"""Per pixel of the blocks of a task: heights and marks, and what finds them."""
+TASKS_PER_WORKER = 4
+"""Tasks are divided for the sake of workers that would wait for others until there are so many."""
+WORTH_DIVIDING = 0.95
+"""Of the time that the longest worker takes: it has to fall to that."""
+
+Records = Mapping[Cell, Mapping[str, Any]]
+Ints = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Blocks of a task and buckets of its window, indices of both; its cost: points, and pixels reckoned as points."""
+
+    blocks: Ints
+    buckets: Ints
+    cost: int
+
+
+def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: int) -> list[Task]:
+    """Tasks of blocks of the terrain as few tasks with one TIN each, those with most to do first.
+
+    As many as the memory of a worker asks for, and as keep all workers at work to the end. Natural neighbours at the
+    hull depend on the window, so that such blocks stay alone.
+
+    Parameters
+    ----------
+    plan : Plan
+    records : mapping of Cell to dict
+        What the assembly of each bucket recorded.
+    tasks : sequence of Task
+        Of single blocks.
+    workers : int
+    """
+    if len(tasks) < 2 or plan.config.interpolation == "natural":
+        return list(tasks)
+    survey = _Survey(plan, records, [task.arguments for task in tasks])
+    groups = _busy(survey, _fitting(survey, min(plan.block_points, JOINED_BYTES // GROUND_BYTES)), workers)
+    groups.sort(key=lambda group: -group.cost)
+    return [_joined([tasks[i] for i in group.blocks]) for group in groups]
+
+
+def _joined(parts: Sequence[Task]) -> Task:
+    if len(parts) == 1:
+        return parts[0]
+    first, blocks = parts[0], GridBlocks(tuple(part.arguments for part in parts))
+    points = sum(part.points for part in parts)
+    name = f"{first.key}+{len(parts) - 1}"
+    return Task(first.stage, name, "", grid_blocks, blocks, points, tuple(parts))
+
+
+def _fitting(survey: _Survey, most: int) -> list[_Group]:
+    """Groups of no more than ``most`` cost, or of one block; none has more between its blocks than around them."""
+    found, todo = [], [survey.whole()]
+    while todo:
+        group = todo.pop()
+        halves = survey.halves(group)
+        if halves and (group.cost > most or _total(halves) < group.cost):
+            todo += halves
+        else:
+            found.append(group)
+    return found
+
+
+def _busy(survey: _Survey, groups: list[_Group], workers: int) -> list[_Group]:
+    """Groups divided further where that lets the workers be done earlier, for all that they then do twice."""
+    best, earliest = groups, _longest(groups, workers)
+    while len(groups) < TASKS_PER_WORKER * workers:
+        *rest, largest = sorted(groups, key=lambda group: (len(group.blocks) > 1, group.cost))
+        halves = survey.halves(largest)
+        if not halves:
+            break
+        groups = [*rest, *halves]
+        if _longest(groups, workers) < WORTH_DIVIDING * earliest:
+            best, earliest = groups, _longest(groups, workers)
+    return best
+
+
+def _total(groups: Iterable[_Group]) -> int:
+    return sum(group.cost for group in groups)
+
+
+def _longest(groups: Sequence[_Group], workers: int) -> int:
+    """What the worker that is done last has done, where each takes the largest group that is left."""
+    ends = [0] * workers
+    for cost in sorted((group.cost for group in groups), reverse=True):
+        heapq.heapreplace(ends, ends[0] + cost)
+    return max(ends)
+
+
+class _Survey:
+    """The blocks to make, and the points of all buckets."""
+
+    def __init__(self, plan: Plan, records: Records, works: Sequence[GridBlock]) -> None:
+        self._spec, self._halo, self._buckets = works[0].spec, works[0].halo, plan.meta.bucket
+        blocks = [work.block for work in works]
+        self._start = np.array([(b.row, b.col) for b in blocks])
+        self._stop = np.array([(b.row + b.height, b.col + b.width) for b in blocks])
+        self._cells = np.array([(cell.ix, cell.iy) for cell in records])
+        self._points = np.array(
+            [most_of_bucket(r["n"], self._buckets, works[0].thin) for r in records.values()]
+        )
+
+    def whole(self) -> _Group:
+        """All blocks."""
+        return self._group(np.arange(len(self._start)), np.arange(len(self._cells)))
+
+    def halves(self, group: _Group) -> list[_Group]:
+        """The blocks on both sides of the line that leaves least on the fuller side; none of a single block."""
+        found: list[tuple[int, int, int, list[_Group]]] = []
+        for axis in (0, 1):
+            starts = self._start[group.blocks, axis]
+            for line in np.unique(starts)[1:]:
+                sides = (group.blocks[starts < line], group.blocks[starts >= line])
+                pair = [self._group(side, group.buckets) for side in sides]
+                found.append((max(half.cost for half in pair), _total(pair), len(found), pair))
+        return min(found)[-1] if found else []
+
+    def _group(self, blocks: Ints, buckets: Ints) -> _Group:
+        """Some blocks, around which no other buckets have points than these."""
+        row, col = self._start[blocks].min(axis=0).tolist()
+        height, width = (self._stop[blocks].max(axis=0) - (row, col)).tolist()
+        window = self._spec.block_bounds(Block(row, col, height, width)).pad(self._halo)
+        index, cells = self._buckets.index_of, self._cells[buckets]
+        low, high = (index(window.x0), index(window.y0)), (index(window.x1 - 1), index(window.y1 - 1))
+        near = buckets[((cells >= low) & (cells <= high)).all(axis=1)]
+        pixels = height * width * PIXEL_BYTES // GROUND_BYTES
+        return _Group(blocks, near, int(self._points[near].sum()) + pixels)
