@@ -16,6 +16,7 @@ from pyproj import CRS
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import PointBlock
+from tiler.store import StoreMeta, TileStore, create_store
 
 MakeCloud = Callable[..., Path]
 
@@ -65,6 +66,13 @@ def memory_store(monkeypatch: pytest.MonkeyPatch) -> MemoryStore:
     for module in ("tiler.ingest.spool", "tiler.ingest.assemble", "tiler.export.classified"):
         monkeypatch.setattr(f"{module}.open_store", lambda url: store)
     return store
+
+
+@pytest.fixture
+def small_store(tmp_path: Path) -> TileStore:
+    """A new store in a folder, with buckets of ten metres."""
+    meta = StoreMeta(CoordFrame(), Lattice(Fraction(10_000)), Lattice(Fraction(1000)), False)
+    return create_store(str(tmp_path / "store.zarr"), meta)
 
 
 def _fill(cloud: laspy.LasData, n: int, rng: np.random.Generator) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,41 +19,36 @@ from tiler.ingest import SourceInfo, inspect
 from tiler.plan import make_plan
 from tiler.plan.advice import before, pooled, roofs_in_terrain
 from tiler.plan.refuse import warnings_of
-from tiler.store import StoreMeta, TileStore, create_store
+from tiler.store import TileStore
 
 
 def test_pooling_keeps_the_place() -> None:
     assert np.array_equal(pooled(ROWS, 4)[:3, 0], [2, 6, 10])
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> TileStore:
-    meta = StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False)
-    return create_store(str(tmp_path / "store.zarr"), meta)
-
-
 @pytest.mark.parametrize("part_cells", [1000, 50])
 def test_a_roof_in_the_terrain_of_a_store(
-    part_cells: int, store: TileStore, monkeypatch: pytest.MonkeyPatch
+    part_cells: int, small_store: TileStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tiler.plan.advice.PART_CELLS", part_cells)
     heights = np.kron(with_hall(), np.ones((2, 2))).astype(np.float32)
     heights[:20] = NODATA
     spec = RasterSpec(Lattice(Fraction(1000)), 500_000, 5_400_000, *heights.shape)
-    store.create_raster("dtm", *heights.shape)
+    small_store.create_raster("dtm", *heights.shape)
     for block in spec.blocks(512):
         part = heights[block.row : block.row + block.height, block.col : block.col + block.width]
-        store.write_block("dtm", block, part)
-    text = roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 20.0)
-    assert text is not None
+        small_store.write_block("dtm", block, part)
+
+    def advice(building_m: float, roof_m: float | None = None) -> str:
+        return roofs_in_terrain(small_store, "dtm", spec, spec.blocks(512), building_m, roof_m) or ""
+
+    text = advice(20.0)
     assert text.startswith("the terrain holds what looks like a roof 60 m wide")
     assert "x 500130, y 5399890" in text
     assert text.endswith("max_building_size is 20 m; if it is one, use --set max_building_size=80")
-    assert roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 80.0) is None
-    wider = roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 20.0, 50.0)
-    assert wider is not None
-    assert wider.endswith("roof_size is 50 m; if it is one, use --set roof_size=80")
-    assert roofs_in_terrain(store, "dtm", spec, spec.blocks(512), 20.0, 200.0) == text
+    assert advice(80.0) == ""
+    assert advice(20.0, 50.0).endswith("roof_size is 50 m; if it is one, use --set roof_size=80")
+    assert advice(20.0, 200.0) == text
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -49,13 +48,7 @@ def test_one_dense_place_is_enough_to_thin(wide: Path, spot: Path, monkeypatch: 
 
 def test_candidates_are_those_of_the_method(wide: Path) -> None:
     """Finer ones would only be read, never used; where buckets are not made of its cells, the usual ones are."""
-    for cell, fine in (
-        ("1", 1),
-        ("0.25", Fraction(1, 4)),
-        ("2", 2),
-        ("0.3", Fraction(1, 2)),
-        ("0.7", Fraction(1, 2)),
-    ):
+    for cell, fine in (("1", 1.0), ("0.25", 0.25), ("2", 2.0), ("0.3", 0.5), ("0.7", 0.5)):
         plan = planned(wide, parameters={"thin_cell": cell})
         assert (plan.fine_m, plan.on_candidates) == (fine, cell not in ("0.3", "0.7"))
 

@@ -69,9 +69,8 @@ def test_strips_that_cross_add_up() -> None:
     density_map = DensityMap(patches, 1.0)
     assert density_map.fullest(100) == pytest.approx(20 * 100**2, rel=0.05)
     assert density_map.fullest(10) == pytest.approx(20 * 10**2, rel=0.05)
-    assert DensityMap(patches, 0.5).fullest(50) == pytest.approx(20 * 100**2, rel=0.05), (
-        "units of half a metre"
-    )
+    half_metres = DensityMap(patches, 0.5)
+    assert half_metres.fullest(50) == pytest.approx(20 * 100**2, rel=0.05)
 
 
 def test_a_map_of_a_country_stays_small() -> None:
@@ -99,10 +98,8 @@ def test_without_points_nothing_is_dense() -> None:
 
 
 def test_a_long_line_has_few_cells() -> None:
-    patch = Patch(
-        0.0, 0.0, 1e6, 1.0, 1000.0
-    )  # of kilometres: 16 million cells of 64 m along it, next to no area
-    density_map = DensityMap([patch], 1000.0)
+    """In kilometres: 16 million cells of 64 m along it, next to no area."""
+    density_map = DensityMap([Patch(0.0, 0.0, 1e6, 1.0, 1000.0)], 1000.0)
     assert 900 < density_map.fullest(1e9) < 1001
 
 

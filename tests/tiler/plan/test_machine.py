@@ -17,12 +17,8 @@ def test_a_container_that_allows_less_than_the_machine_counts(
     monkeypatch.setattr(machine, "GROUPS", tmp_path / "groups")
     (tmp_path / "groups").write_text("4:cpu,cpuacct:/\n3:memory:/app\n0::/pod/app\n")
     assert machine.memory_bytes() == psutil.virtual_memory().total
-    limits = {
-        "pod/app/memory.max": "max",
-        "pod/memory.max": "300000000",
-        "memory/app/memory.limit_in_bytes": "9" * 18,
-    }
-    for name, text in limits.items():
+    limits = {"pod/app/memory.max": "max", "pod/memory.max": "300000000"}
+    for name, text in {**limits, "memory/app/memory.limit_in_bytes": "9" * 18}.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     assert machine.memory_bytes() == 300_000_000
@@ -30,12 +26,7 @@ def test_a_container_that_allows_less_than_the_machine_counts(
 
 def test_workers_share_half_of_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "cores", lambda: 4)
-    for machine_gib, workers, share_mib in (
-        (16, 4, 2048),
-        (16, 1, 2048),
-        (16, 8, 1024),
-        (2, 4, 512),
-        (999, 2, 4096),
-    ):
+    shares = {(16, 4): 2048, (16, 1): 2048, (16, 8): 1024, (2, 4): 512, (999, 2): 4096}
+    for (machine_gib, workers), share_mib in shares.items():
         monkeypatch.setattr(machine, "memory_bytes", lambda gib=machine_gib: gib << 30)
         assert machine.fair_share(workers) == share_mib << 20

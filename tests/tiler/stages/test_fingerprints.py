@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,8 +11,6 @@ import pytest
 
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
 from tiler.errors import InputError
 from tiler.ingest import inspect
 from tiler.observe.events import silent
@@ -21,19 +18,13 @@ from tiler.runs.record import RunRecord
 from tiler.schedule import SerialExecutor
 from tiler.stages import fingerprints
 from tiler.stages.ingest_tasks import Source
-from tiler.store import StoreMeta, TileStore, create_store
+from tiler.store import TileStore
 
 
 @pytest.fixture
 def paths(make_cloud: MakeCloud) -> list[Path]:
     """Ten small files."""
     return [make_cloud(f"{i}.las", n=30, seed=i) for i in range(10)]
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> TileStore:
-    meta = StoreMeta(CoordFrame(origin=(0, 0)), Lattice(Fraction(10_000)), Lattice(Fraction(1000)), False)
-    return create_store(str(tmp_path / "store.zarr"), meta)
 
 
 def numbered(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list[Source], Any]:
@@ -61,28 +52,28 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_all_bytes_once_and_again_where_something_changed(
-    paths: list[Path], store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
+    paths: list[Path], small_store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fingerprints, "GROUP_FILES", 4)
-    sources, _ = numbered(paths, store)
+    sources, _ = numbered(paths, small_store)
     contents = [hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest() for path in paths]
     assert [(s.number, s.content) for s in sources] == list(enumerate(contents))
     assert seen == [4, 4, 2]
-    assert numbered(paths, store)[0] == sources
+    assert numbered(paths, small_store)[0] == sources
     assert seen == [4, 4, 2]
     paths[3].touch()
-    again, _ = numbered(paths[2:], store)
+    again, _ = numbered(paths[2:], small_store)
     assert [(s.number, s.content) for s in again] == list(enumerate(contents))[2:]
     assert seen == [4, 4, 2, 1]
-    numbered(paths, store, verify=True)
+    numbered(paths, small_store, verify=True)
     assert seen == [4, 4, 2, 1, 4, 4, 2]
 
 
 def test_large_files_are_read_alone(
-    paths: list[Path], store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
+    paths: list[Path], small_store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fingerprints, "GROUP_BYTES", 100)
-    numbered(paths, store)
+    numbered(paths, small_store)
     assert seen == [1] * 10
 
 
@@ -98,26 +89,22 @@ def grow_while_it_is_read(monkeypatch: pytest.MonkeyPatch, *places: Path) -> Non
 
 
 def test_a_file_that_changes_meanwhile_is_left_out(
-    paths: list[Path], store: TileStore, monkeypatch: pytest.MonkeyPatch
+    paths: list[Path], small_store: TileStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grow_while_it_is_read(monkeypatch, paths[4])
-    sources, job = numbered(paths, store)
+    sources, job = numbered(paths, small_store)
     assert [s.number for s in sources] == [0, 1, 2, 3, 5, 6, 7, 8, 9]
     (left_out,) = job.record.quarantined
     assert left_out["path"] == str(paths[4])
     assert "while the run went on (" in left_out["error"]
     monkeypatch.undo()
-    assert [s.number for s in numbered(paths, store)[0]] == list(range(10))
+    assert [s.number for s in numbered(paths, small_store)[0]] == list(range(10))
 
 
 @pytest.mark.parametrize(
     ("grown", "settings", "text"),
     [
-        (
-            [4],
-            {"on_error": "stop"},
-            r"4\.las: was replaced or .* \(.* bytes before, .* now\); run",
-        ),
+        ([4], {"on_error": "stop"}, r"4\.las: was replaced or .* \(.* bytes before, .* now\); run"),
         (range(10), {}, r"no input could be read; the first: .*0\.las: "),
     ],
 )
@@ -126,9 +113,9 @@ def test_what_ends_the_run(
     settings: dict[str, Any],
     text: str,
     paths: list[Path],
-    store: TileStore,
+    small_store: TileStore,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     grow_while_it_is_read(monkeypatch, *(paths[i] for i in grown))
     with pytest.raises(InputError, match=text):
-        numbered(paths, store, **settings)
+        numbered(paths, small_store, **settings)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Cell, Lattice
+from tiler.core.lattice import Cell
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.stages.raster_tasks import WHOLE
 from tiler.stages.repair import heal
-from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
+from tiler.store import BucketInfo, TileStore
 from tiler.store.layout import ROW_POINTS
 
 WEST, EAST = Cell(0, 0), Cell(1, 0)
@@ -30,11 +27,9 @@ STAGES = {
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> TileStore:
+def store(small_store: TileStore) -> TileStore:
     """Two buckets of two rows each, two passes, two rasters; everything is committed, no point was written."""
-    meta = StoreMeta(CoordFrame(origin=(0, 0)), Lattice(Fraction(10_000)), Lattice(Fraction(1000)), False)
-    found = create_store(str(tmp_path / "store.zarr"), meta)
-    points = ROW_POINTS + 1
+    found, points = small_store, ROW_POINTS + 1
     found.allocate({WEST: points, EAST: points})
     found.publish_index({cell: BucketInfo(points, 1) for cell in (WEST, EAST)})
     for stage, keys in STAGES.items():
