@@ -1,7 +1,8 @@
 """Ground up to the edges of terraces and banks, where a hull that bends only so much passes below.
 
 A hull reaches the top of a step some metres behind its edge. So ground grows there, cell by cell: a cell above the
-surface joins if it lies on the plane through the ground cells beside it. What stands on the ground rises from it at a
+surface joins if it lies on the plane through the ground cells beside it, or level with those that touch it: at the foot
+of a bank, the plane of the bank leads below what is level before it. What stands on the ground rises from it at a
 wall, and on no plane of what is beside it. The faces of banks are on no plane either: on terrain as a whole
 (`ptd.matched.objects`) a cell joins as well if it lies between ground cells on opposite sides and below the upper one.
 """
@@ -31,6 +32,9 @@ LEVEL = 3.0
 NEAR_M, NEAR_SIGMAS = 0.12, 1.5
 """A cell is on the plane if it is so near, in metres and times the local noise: less where plants stand about it."""
 
+LEVEL_SHARE = 0.7
+"""A cell is level with those that touch it if it is nearer by so much: in plants something is level everywhere."""
+
 Float64 = npt.NDArray[np.float64]
 
 
@@ -45,17 +49,20 @@ def reach_cells(cell_m: float) -> int:
 
 
 @kernel
-def _beside(ground: Bool, row: int, column: int) -> int:
-    n = 0
+def _above_level(height: Float64, ground: Bool, row: int, column: int) -> float:
+    """Mean height above a cell of the ground cells that touch it; NaN where there are too few."""
+    n, total = 0, 0.0
     for r in range(row - 1, row + 2):
         for c in range(column - 1, column + 2):
-            n += ground[r, c]
-    return n
+            if ground[r, c]:
+                n += 1
+                total += height[r, c] - height[row, column]
+    return total / n if n >= BESIDE else np.nan
 
 
 @kernel
 def _above_plane(height: Float64, ground: Bool, row: int, column: int) -> float:
-    """Height of a cell above the plane through the ground cells around it; NaN where there are too few."""
+    """Height above a cell of the plane through the ground cells around it; NaN where there are too few."""
     n, s, sx, sy, sz = 0, 0.0, 0.0, 0.0, 0.0
     sxx, sxy, syy, sxz, syz = 0.0, 0.0, 0.0, 0.0, 0.0
     for dy in range(-PLANE_CELLS, PLANE_CELLS + 1):
@@ -114,11 +121,12 @@ def _grow(
             r, c = rows[k], columns[k]
             if not waiting[k]:
                 continue
-            above = np.nan
-            if terrain[r, c] and _is_between(height, ground, r, c):
-                above = 0.0
-            elif _beside(ground, r, c) >= BESIDE:
-                above = _above_plane(height, ground, r, c)
+            level = _above_level(height, ground, r, c)
+            above = 0.0
+            if not (terrain[r, c] and _is_between(height, ground, r, c)):
+                above = np.nan if np.isnan(level) else _above_plane(height, ground, r, c)
+                if not abs(above) < near[r, c] and abs(level) < LEVEL_SHARE * near[r, c]:
+                    above = level
             if abs(above) < near[r, c]:
                 found[r, c] = height[r, c] - 0.5 * above
                 joins[n] = k

@@ -54,3 +54,11 @@ def test_what_rises_above_both_sides_of_a_step_does_not_join() -> None:
     assert np.isnan(growing(height, (COLUMN < 20) | (COLUMN > 21), terrain=True)).all()
     height = np.where(COLUMN < 20, 0.0, -2.0)
     assert np.isnan(growing(height, COLUMN < 20, terrain=True)).all()
+
+
+def test_what_is_level_at_the_foot_of_a_bank_joins() -> None:
+    """A road between a bank and a wall: the plane of the bank leads below it."""
+    height = 0.4 * np.maximum(20.0 - COLUMN, 0.0) - 9.0 * (COLUMN > 25)
+    joined = ~np.isnan(growing(height, COLUMN < 21))
+    assert joined[10:-10, 21:26].all()
+    assert not joined[:, 26:].any()
