@@ -67,7 +67,7 @@ def projected_disk(plan: Plan) -> dict[str, int]:
     pixels = pixels_of(plan)
     names = {"dtm", *plan.config.exported}
     sizes = [4 if PRODUCTS[name].dtype == "float32" else 1 for name in names]
-    labels = max(sum(not step.elected for step in plan.steps) - 1, 0)
+    labels = max(sum(not step.work.elected for step in plan.steps) - 1, 0)
     workers = min(plan.workers, len(names)) if plan.config.sheets is None else plan.workers
     largest = sum(sorted(sizes)[-workers:]) if plan.config.sheets is None else workers * max(sizes)
     held = min(pixels.filled, pixels.largest)

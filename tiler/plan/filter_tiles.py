@@ -158,21 +158,21 @@ def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[
 def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
     """Peak bytes of a worker that does a tile with that halo: the points of its window are known."""
     lattice = plan.meta.bucket
-    column = "n_candidates" if not step.every_point and plan.on_candidates else "n"
-    if step.elected:
+    column = "n_candidates" if not step.work.every_point and plan.on_candidates else "n"
+    if step.work.elected:
         column = "n_elected"
     window = lattice.hull(cells).pad(halo)
     near = lattice.among(window, records)
     held = [records[cell][column] for cell in near]
     area = len(held) * plan.bucket_m**2
     bucket, kept = max(records[cell]["n"] for cell in cells), 0
-    if step.margin_m:
-        bucket *= (1 + 2 * step.margin_m / plan.bucket_m) ** 2
+    if step.work.label_margin_m:
+        bucket *= (1 + 2 * step.work.label_margin_m / plan.bucket_m) ** 2
         kept = held_bytes(plan.tile_memory)
-    if step.raster_cell_m:
+    if step.work.raster_cell_m:
         across = lattice.hull(near).intersection(window).area() * float(plan.meta.frame.metres_xy) ** 2
         window_bytes = filter_bytes(sum(held), across, 0.0, step, plan.fine_m)
     else:
-        thinned = 0.0 if step.elected else plan.candidate_cell_m  # the number of elected points is known
+        thinned = 0.0 if step.work.elected else plan.candidate_cell_m  # the number of elected points is known
         window_bytes = filter_bytes(sum(held), area, thinned, step, plan.fine_m)
     return int(BASE_BYTES + window_bytes + bucket_bytes(bucket) + kept)

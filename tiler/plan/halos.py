@@ -18,7 +18,7 @@ Length = TypeVar("Length", int, float)
 def widened(step: PlannedPass, halo: Length, fits: Callable[[Length], bool]) -> Length:
     """The halo that a tile of a pass may end with: doubled and doubled again while that fits; a fixed one stays."""
     widest = halo
-    while not step.fixed and 0 < widest < MAX_HALO_FACTOR * halo and fits(2 * widest):
+    while step.work.reach_m is None and 0 < widest < MAX_HALO_FACTOR * halo and fits(2 * widest):
         widest *= 2
     return widest
 
@@ -48,18 +48,4 @@ def planned_passes(
             "--halo does not count for passes that know how far they look: "
             + ", ".join(f"{step.name} {step.reach_m:g} m" for step in fixed)
         )
-    return tuple(
-        PlannedPass(
-            s.name,
-            s.title or s.name,
-            halo(s),
-            s.reach_m is not None,
-            s.every_point,
-            s.elected,
-            s.label_margin_m,
-            type(s).applies is not Pass.applies,
-            s.kind,
-            s.raster_cell_m,
-        )
-        for s in params.passes
-    )
+    return tuple(PlannedPass(step, halo(step)) for step in params.passes)

@@ -160,9 +160,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     # What is not known to be a matched cloud is not warned of as one; and tiles of candidates are joined.
     joined_tiles = config.tile_size is None and nested(cell, meta.fine.size * frame.metres_xy)
     halos = [
-        step.halo_m
-        for step in steps_of(passes, kind or "lidar")
-        if not joined_tiles or step.every_point or step.elected or step.raster_cell_m
+        step.halo_m for step in steps_of(passes, kind or "lidar") if not (joined_tiles and step.on_candidates)
     ]
     warnings = warnings_of(filled, agreement.units, tile, halos)
     warnings += advice.before(filled, config, density, own_halo(defaults))

@@ -13,6 +13,8 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
+from ptd.passes import Pass
+
 FINE_CELL_M = Fraction(1, 2)
 """Side of the store's cells, each with one candidate, where the method has none of its own (`fine_cell_m`)."""
 BASE_BYTES = 260 << 20
@@ -45,40 +47,35 @@ EXPORT_POINTS = 1 << 27
 
 @dataclass(frozen=True)
 class PlannedPass:
-    """What a pass of the method sees of a tile's surroundings.
+    """A pass of the method, and the halo that its tiles begin with."""
 
-    Attributes
-    ----------
-    name : str
-    title : str
-        What it does, in a few words (`ptd.passes.Pass.title`).
-    halo_m : float
-    fixed : bool
-        The halo is the pass's proven reach and never widened (`ptd.passes.Pass.reach_m`).
-    every_point : bool
-        It reads all points, not one candidate a cell.
-    elected : bool
-        It reads points that a pass before it made (`ptd.passes.Pass.elected`).
-    margin_m : float
-        What it labels a bucket with of the bucket's surroundings (`ptd.passes.Pass.label_margin_m`).
-    sometimes : bool
-        It does not always apply (`ptd.passes.Pass.applies`).
-    kind : str or None
-        What made the clouds that it is for (`ptd.passes.Pass.kind`); None: for all.
-    raster_cell_m : float
-        Side of the cells of the raster that it makes of its window (`ptd.passes.Pass.raster_cell_m`); 0: none.
-    """
-
-    name: str
-    title: str
+    work: Pass
     halo_m: float
-    fixed: bool
-    every_point: bool
-    elected: bool = False
-    margin_m: float = 0.0
-    sometimes: bool = False
-    kind: str | None = None
-    raster_cell_m: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Of the pass."""
+        return self.work.name
+
+    @property
+    def title(self) -> str:
+        """What it does, in a few words."""
+        return self.work.title or self.work.name
+
+    @property
+    def kind(self) -> str | None:
+        """What made the clouds that it is for; None: for all."""
+        return self.work.kind
+
+    @property
+    def sometimes(self) -> bool:
+        """It does not always apply."""
+        return type(self.work).applies is not Pass.applies
+
+    @property
+    def on_candidates(self) -> bool:
+        """It looks at one candidate a cell, not at all points or elected ones, and makes no raster of its window."""
+        return not (self.work.every_point or self.work.elected or self.work.raster_cell_m)
 
 
 def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window: float) -> int:
@@ -138,12 +135,12 @@ def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass
     """
     vertices = min(points, area_m2 / cell_m**2) if cell_m > 0 else points
     read = points
-    if step.elected:
+    if step.work.elected:
         read = vertices
-    elif not step.every_point and nested(cell_m, fine_m):
+    elif not step.work.every_point and nested(cell_m, fine_m):
         read = min(points, area_m2 / float(fine_m) ** 2)
-    if step.raster_cell_m:
-        vertices = area_m2 / step.raster_cell_m**2
+    if step.work.raster_cell_m:
+        vertices = area_m2 / step.work.raster_cell_m**2
     return read * READ_BYTES + vertices * VERTEX_BYTES
 
 

@@ -201,8 +201,7 @@ class Plan:
 
     def joins(self, step: PlannedPass) -> bool:
         """Whether tiles of a pass are as large as memory allows: it looks at candidates, and no size was asked for."""
-        looks_at_them = not (step.every_point or step.elected or step.raster_cell_m)
-        return self.tile_workers > 0 and looks_at_them and self.on_candidates
+        return self.tile_workers > 0 and step.on_candidates and self.on_candidates
 
     def tile_memory_of(self, step: PlannedPass) -> int:
         """Bytes of a worker that the tiles of a pass are cut for."""
@@ -215,7 +214,7 @@ class Plan:
         The widest halo that a pass starts with, what labels are made with and bridges are found by, and what a facet at
         the edge can reach.
         """
-        labels = max((Fraction(step.margin_m) for step in self.steps), default=Fraction(0))
+        labels = max((Fraction(step.work.label_margin_m) for step in self.steps), default=Fraction(0))
         labels += BRIDGE_REACH_M if self.config.bridges == "remove" else 0
         return math.ceil(self.meta.frame.counts(max(Fraction(self.halo_m), self.grid_halo, labels)))
 

@@ -46,15 +46,15 @@ def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
 
 def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, crowded: bool = False) -> int:
     """Peak bytes of a worker with a tile of that side and halo, of the mean density or in the fullest place."""
-    side, bucket_m = side_m + 2 * halo_m, plan.bucket_m + 2 * step.margin_m
+    side, bucket_m = side_m + 2 * halo_m, plan.bucket_m + 2 * step.work.label_margin_m
     area = min(side**2, plan.area_m2)
     points, bucket = plan.density * area, plan.density * bucket_m**2
     if crowded:
         points = max(points, plan.density_map.fullest(side))
         bucket = max(bucket, plan.density_map.fullest(bucket_m))
-    raster = min(side**2, math.prod(plan.sides_m)) if step.raster_cell_m else area
+    raster = min(side**2, math.prod(plan.sides_m)) if step.work.raster_cell_m else area
     window = filter_bytes(points, raster, plan.candidate_cell_m, step, plan.fine_m)
-    held = held_bytes(plan.memory) if step.margin_m else 0
+    held = held_bytes(plan.memory) if step.work.label_margin_m else 0
     return int(BASE_BYTES + window + bucket_bytes(bucket) + held)
 
 

@@ -195,7 +195,7 @@ def _instead(plan: Plan, stage: str) -> str:
         return ""
 
     def fits(side: float, halo: float) -> bool:
-        halos = {step: step.halo_m if step.fixed else halo for step in plan.likely}
+        halos = {step: halo if step.work.reach_m is None else step.halo_m for step in plan.likely}
         return all(filter_peak(plan, s, side, h, crowded=True) <= plan.memory for s, h in halos.items())
 
     count = int(float(plan.tile) // plan.bucket_m)

@@ -107,7 +107,7 @@ def tile_m(
     others, with hundreds of metres around each, are not to have small ones for that.
     """
     passes = tuple(passes)
-    passes = tuple(step for step in passes if not step.every_point) or passes
+    passes = tuple(step for step in passes if not step.work.every_point) or passes
     budget = max(memory - BASE_BYTES, memory // 4) * 3 / 4
     fine_m = meta.fine.size * meta.frame.metres_xy
     sides = [

@@ -53,16 +53,13 @@ class Corrections:
     line_digests: Mapping[Cell, str] | None = None
     decks: tuple[DrawnDeck, ...] = ()
 
-    def of_rasters(self, plan: Plan, name: str, tasks: Iterable[Task]) -> list[Task]:
-        """The tasks of a raster, with corrections and with digests of those that touch their blocks."""
-        return [self._of_raster(plan, name, task) for task in tasks]
-
     def of_clouds(self, tasks: Iterable[Task]) -> Iterator[Task]:
         """The tasks of classified clouds; what edits change of labels is in their digests already."""
         for task in tasks:
             yield task if self.edits is None else _with_edits(task, self.edits.key)
 
-    def _of_raster(self, plan: Plan, name: str, task: Task) -> Task:
+    def of_raster(self, plan: Plan, name: str, task: Task) -> Task:
+        """A task of a raster, with corrections, and with digests of those that touch its block."""
         bounds = task.arguments.place(plan.meta.bucket) if isinstance(task.arguments, Placed) else None
         if bounds is None:
             return task

@@ -49,7 +49,7 @@ def grid(job: Job, assembled: Assembled, labels: dict[Cell, str], corrections: C
         name = raster.name
         if name == "dtm-outlined" and job.plan.config.water != NO_WATER:
             gridding.waters = find_waters(job, gridding)
-        tasks = corrections.of_rasters(job.plan, name, raster.tasks(raster, gridding))
+        tasks = [corrections.of_raster(job.plan, name, task) for task in raster.tasks(raster, gridding)]
         join = partial(joined_blocks, job.plan, assembled.records) if name == "dtm" else None
         gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks, join)
         if name == "dtm":

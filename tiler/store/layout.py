@@ -143,8 +143,7 @@ def record_type(has_rgb: bool) -> np.dtype[np.void]:
 
 def spool_kind(has_rgb: bool) -> ArrayKind:
     """Pieces of the spool: bytes of whole records, shuffled as such."""
-    size = record_type(has_rgb).itemsize
-    return ArrayKind("uint8", (SPOOL_CHUNK, size), item=size)
+    return records_kind(record_type(has_rgb).itemsize)
 
 
 def records_kind(record_bytes: int) -> ArrayKind:

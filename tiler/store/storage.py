@@ -119,14 +119,15 @@ class Storage:
         except OSError as error:
             raise failed_write(self.url, key, error) from error
 
-    def put_new(self, key: str, data: bytes) -> bool:
-        """Write an object unless one is there; a later `get` says which it is.
+    def put_json_new(self, key: str, body: Any) -> bool:
+        """`put_json` unless an object is there; a later `get_json` says which it is.
 
         Returns
         -------
         bool
             Whether that is exclusive, as on local file systems with hard links; else the last of two writers wins.
         """
+        data = _sealed(body)
         try:
             sync(self.zarr_store.set_if_not_exists(key, default_buffer_prototype().buffer.from_bytes(data)))
         except OSError as error:
@@ -202,10 +203,6 @@ class Storage:
     def put_json(self, key: str, body: Any) -> None:
         """Write a JSON-able value with the checksum of its text; URLs in it lose passwords and tokens."""
         self.put(key, _sealed(body))
-
-    def put_json_new(self, key: str, body: Any) -> bool:
-        """`put_json` by way of `put_new`."""
-        return self.put_new(key, _sealed(body))
 
     def get_json(self, key: str) -> Any:
         """The value that `put_json` wrote; None where there is none; StoreError where it is damaged."""
