@@ -204,7 +204,7 @@ def chosen_without(found: LeaveOneOut) -> str:
         for fold in found.folds
     ]
     default, left_out = mean(f.default for f in found.folds), mean(f.total for f in found.folds)
-    few = "" if found.most_changed is None else f" with at most {found.most_changed} changes at once"
+    few = "" if found.most_changed is None else f" with at most {found.most_changed} value changed"
     rows.append(["mean", "", percent(default), percent(left_out)])
     return (
         f"Total error. All {found.settings} settings of this grid{few}, declared beforehand (the default is in its "

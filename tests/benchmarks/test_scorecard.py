@@ -131,7 +131,7 @@ def test_combinations_in_which_more_changes_than_is_allowed_are_left_out() -> No
     assert seen == [(name, *c) for c in ((8, 20), (4, 20), (8, 10)) for name in "ab"]
     assert found.settings == 3
     text = markdown([], "classic", 1, {"ISPRS samples": found}, {})
-    assert "All 3 settings of this grid with at most 1 changes at once" in text
+    assert "All 3 settings of this grid with at most 1 value changed, declared" in text
 
 
 def test_the_default_is_in_the_middle_of_the_grid() -> None:
