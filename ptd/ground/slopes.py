@@ -1,4 +1,4 @@
-"""Means over boxes and slopes of rasters in which any cell may be empty."""
+"""Means over boxes and slopes of rasters in which any cell may be empty, at some of their cells."""
 
 from __future__ import annotations
 
@@ -15,39 +15,37 @@ Float64 = npt.NDArray[np.float64]
 
 
 @kernel
-def _sums(values: Int32) -> tuple[Int64, Int64]:
-    """Sums and numbers of all filled cells before row and column: int64 [rows + 1, columns + 1]."""
+def _sums(values: Int32) -> Int64:
+    """Sums and numbers of all filled cells before row and column: int64 [rows + 1, columns + 1, 2]."""
     height, width = values.shape
-    sums = np.zeros((height + 1, width + 1), np.int64)
-    counts = np.zeros((height + 1, width + 1), np.int64)
+    sums = np.zeros((height + 1, width + 1, 2), np.int64)
     for row in range(height):
         total, n = np.int64(0), np.int64(0)
         for column in range(width):
             if values[row, column] != EMPTY:
                 total += values[row, column]
                 n += 1
-            sums[row + 1, column + 1] = sums[row, column + 1] + total
-            counts[row + 1, column + 1] = counts[row, column + 1] + n
-    return sums, counts
+            sums[row + 1, column + 1, 0] = sums[row, column + 1, 0] + total
+            sums[row + 1, column + 1, 1] = sums[row, column + 1, 1] + n
+    return sums
 
 
 @kernel
-def _box_means(values: Int32, reach: int) -> Float64:
-    """Means of the cells up to `reach` from each cell, NaN where none is filled; `reach` cells wider on all sides."""
-    height, width = values.shape
-    sums, counts = _sums(values)
-    means = np.empty((height + 2 * reach, width + 2 * reach), np.float64)
-    for row in range(means.shape[0]):
-        south, north = max(row - 2 * reach, 0), min(row + 1, height)
-        if counts[north, width] == counts[south, width]:  # most rows, where points are sparse
-            means[row] = np.nan
-            continue
-        for column in range(means.shape[1]):
-            west, east = max(column - 2 * reach, 0), min(column + 1, width)
-            n = counts[north, east] - counts[north, west] - counts[south, east] + counts[south, west]
-            total = sums[north, east] - sums[north, west] - sums[south, east] + sums[south, west]
-            means[row, column] = total / n if n > 0 else np.nan
-    return means
+def _mean(sums: Int64, row: int, column: int, reach: int) -> float:
+    """Mean of the filled cells up to `reach` from a cell, which may lie beyond the raster; NaN where there are none."""
+    height, width = sums.shape[0] - 1, sums.shape[1] - 1
+    south, north = min(max(row - reach, 0), height), max(min(row + reach + 1, height), 0)
+    west, east = min(max(column - reach, 0), width), max(min(column + reach + 1, width), 0)
+    a, b, c, d = sums[north, east], sums[north, west], sums[south, east], sums[south, west]
+    n = a[1] - b[1] - c[1] + d[1]
+    return (a[0] - b[0] - c[0] + d[0]) / n if n > 0 else math.nan
+
+
+@kernel
+def _means(sums: Int64, reach: int, cells: Int64, out: Float64) -> None:
+    for i in range(cells.size):
+        row, column = divmod(cells[i], sums.shape[1] - 1)
+        out[i] = _mean(sums, row, column, reach)
 
 
 @kernel
@@ -59,56 +57,67 @@ def _rise(before: float, own: float, after: float) -> float:
 
 
 @kernel
-def _slopes(means: Float64, reach: int, out: Float64) -> None:
-    for row in range(out.shape[0]):
-        for column in range(out.shape[1]):
-            r, c = row + reach, column + reach
-            own = means[r, c]
-            if math.isnan(own):
-                out[row, column] = 0.0
-                continue
-            right = _rise(means[r, c - reach], own, means[r, c + reach])
-            up = _rise(means[r - reach, c], own, means[r + reach, c])
-            out[row, column] = math.sqrt(right * right + up * up) / reach
+def _slopes(sums: Int64, reach: int, cells: Int64, out: Float64) -> None:
+    for i in range(cells.size):
+        row, column = divmod(cells[i], sums.shape[1] - 1)
+        own = _mean(sums, row, column, reach)
+        if math.isnan(own):
+            out[i] = 0.0
+            continue
+        west, east = _mean(sums, row, column - reach, reach), _mean(sums, row, column + reach, reach)
+        south, north = _mean(sums, row - reach, column, reach), _mean(sums, row + reach, column, reach)
+        right, up = _rise(west, own, east), _rise(south, own, north)
+        out[i] = math.sqrt(right * right + up * up) / reach
 
 
-def box_means(values: Int32, reach: int) -> Float64:
-    """Means of the filled cells up to `reach` from each cell, in both directions.
+class Boxes:
+    """Square boxes of a raster; their sums are whole numbers, so they are exact.
 
     Parameters
     ----------
     values : int32 [rows, columns]
         `EMPTY` where there is none.
-    reach : int
-        Cells, at least 1.
-
-    Returns
-    -------
-    float64 [rows, columns]
-        NaN where no cell of the box is filled; the sums are whole numbers, so they are exact.
     """
-    return _box_means(np.ascontiguousarray(values), reach)[reach:-reach, reach:-reach]
 
+    def __init__(self, values: Int32) -> None:
+        self._sums = _sums(np.ascontiguousarray(values))
 
-def slopes(heights: Int32, reach: int) -> Float64:
-    """Slope of a surface with empty cells, from the means of square boxes.
+    def means(self, reach: int, cells: Int64) -> Float64:
+        """Means of the filled cells up to `reach` from some cells, in both directions.
 
-    The means are of the filled cells up to `reach` cells (in both directions) from the cell and from those `reach` to
-    the east, west, north and south; the sums are whole numbers, so they are exact. Along each axis the steeper of the
-    two sides counts: at the edge of a terrace or the foot of a slope a mean of both would hide it.
+        Parameters
+        ----------
+        reach : int
+            Cells, at least 1.
+        cells : int64 [n]
+            Row times columns plus column.
 
-    Parameters
-    ----------
-    heights : int32 [rows, columns]
-        Counts; `EMPTY` where there is none.
-    reach : int
-        Cells, at least 1.
+        Returns
+        -------
+        float64 [n]
+            NaN where no cell of the box is filled.
+        """
+        out = np.empty(cells.size, np.float64)
+        _means(self._sums, reach, cells, out)
+        return out
 
-    Returns
-    -------
-    float64 [rows, columns]
-        Rise in counts per cell; 0 where the cell's own box is empty.
-    """
-    out = np.empty(heights.shape, np.float64)
-    _slopes(_box_means(np.ascontiguousarray(heights), reach), reach, out)
-    return out
+    def slopes(self, reach: int, cells: Int64) -> Float64:
+        """Slope of a surface with empty cells in some cells, from the means of boxes.
+
+        The means are of the filled cells up to `reach` cells (in both directions) from the cell and from those `reach`
+        to the east, west, north and south. Along each axis the steeper of the two sides counts: at the edge of a
+        terrace or the foot of a slope a mean of both would hide it.
+
+        Parameters
+        ----------
+        reach, cells
+            As of `means`.
+
+        Returns
+        -------
+        float64 [n]
+            Rise in counts per cell; 0 where the cell's own box is empty.
+        """
+        out = np.empty(cells.size, np.float64)
+        _slopes(self._sums, reach, cells, out)
+        return out

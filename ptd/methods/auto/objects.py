@@ -18,7 +18,7 @@ import numpy as np
 from ptd.cells import Int32
 from ptd.frame import Cells, Scale
 from ptd.ground.morphology import Bool, CellRaster, Float64, steepest_drops
-from ptd.ground.slopes import box_means, slopes
+from ptd.ground.slopes import Boxes
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,9 @@ class Lowest:
         steepest, opened = steepest_drops(
             self.heights(which), range(1, shape.radius + 1), self.scale.counts_z(drop.allowance_m)
         )
-        allowed = drop.per_metre * self.unit + drop.per_slope * slopes(opened, shape.slope)
-        found: Bool = (steepest > allowed).reshape(-1)[self.raster.keys]
+        keys = self.raster.keys
+        allowed = drop.per_metre * self.unit + drop.per_slope * Boxes(opened).slopes(shape.slope, keys)
+        found: Bool = steepest.reshape(-1)[keys] > allowed
         return found
 
     def residual_objects(self, ground: Bool, present: Bool, rule: Residuals) -> Bool:
@@ -117,24 +118,20 @@ class Lowest:
         Without the trend slopes do not hide what is low, so small radii and thresholds suffice. Where there are no
         objects around, a bump of the terrain is the likelier reason, so the threshold grows (`lack`).
         """
-        heights, drop = self.heights(ground), rule.drop
-        trend = self._trend(heights, rule.trend)
+        boxes, drop, keys = Boxes(self.heights(ground)), rule.drop, self.raster.keys
+        means = boxes.means(rule.trend, keys)
+        trend = np.where(np.isnan(means), self.z, np.rint(means))  # where there is none a point is its own
         residuals = self.raster.lowest((self.z - trend).astype(np.int32), present)
         steepest, _ = steepest_drops(
             residuals, range(1, rule.radius + 1), self.scale.counts_z(drop.allowance_m)
         )
-        allowed = drop.per_metre * self.unit + drop.per_slope * slopes(heights, rule.slope)
+        allowed = drop.per_metre * self.unit + drop.per_slope * boxes.slopes(rule.slope, keys)
         allowed += rule.lack * self.unit * self.lack_of_objects(ground, rule)
-        found: Bool = (steepest > allowed).reshape(-1)[self.raster.keys]
+        found: Bool = steepest.reshape(-1)[keys] > allowed
         return found
 
-    def _trend(self, heights: Int32, reach: int) -> Float64:
-        """Mean height of ground around each point, whole counts; its own height where there is none: float64 [n]."""
-        means: Float64 = box_means(heights, reach).reshape(-1)[self.raster.keys]
-        return np.where(np.isnan(means), self.z, np.rint(means))
-
     def lack_of_objects(self, ground: Bool, rule: Residuals) -> Float64:
-        """1 where all cells around are ground, 0 where a share `enough` of them is not: float64 raster."""
+        """1 where all cells around are ground, 0 where a share `enough` of them is not: float64 [n]."""
         objects = self.raster.lowest((~ground).astype(np.int32), np.ones(ground.size, np.bool_))
-        share = np.nan_to_num(box_means(objects, rule.around))
+        share = Boxes(objects).means(rule.around, self.raster.keys)  # never NaN: its own cell is filled
         return 1.0 - np.minimum(share / rule.enough, 1.0)

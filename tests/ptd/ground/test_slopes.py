@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptd.ground.morphology import EMPTY
-from ptd.ground.slopes import box_means, slopes
+from ptd.ground.slopes import Boxes
 
 
 def rough(rows: int, columns: int, empty: float) -> np.ndarray:
@@ -15,13 +15,21 @@ def rough(rows: int, columns: int, empty: float) -> np.ndarray:
     return heights
 
 
+def means(values: np.ndarray, reach: int) -> np.ndarray:
+    return Boxes(values).means(reach, np.arange(values.size)).reshape(values.shape)
+
+
+def slopes(values: np.ndarray, reach: int) -> np.ndarray:
+    return Boxes(values).slopes(reach, np.arange(values.size)).reshape(values.shape)
+
+
 def test_means_are_those_of_the_filled_cells_of_the_box() -> None:
     heights = rough(12, 15, 0.8)
-    means = box_means(heights, 2)
+    found = means(heights, 2)
     for row, column in np.ndindex(*heights.shape):
         box = heights[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]
         filled = box[box != EMPTY]
-        np.testing.assert_equal(means[row, column], filled.mean() if filled.size else np.nan)
+        np.testing.assert_equal(found[row, column], filled.mean() if filled.size else np.nan)
 
 
 def test_slope_of_a_plane() -> None:

@@ -94,12 +94,12 @@ def test_the_lack_of_objects_by_hand() -> None:
     ground = np.ones(ROWS.shape, bool)
     ground[30, 30:40] = False
     low = lowest(np.zeros(ROWS.shape))
-    lack = low.lack_of_objects(ground.ravel(), RESIDUALS)
+    lack = low.lack_of_objects(ground.ravel(), RESIDUALS).reshape(ROWS.shape)
     assert lack[30, 35] == pytest.approx(1 - 10 / 121 / 0.2)  # all ten are among 11 x 11
     assert lack[30, 26] == pytest.approx(1 - 2 / 121 / 0.2)
     assert lack[0, 0] == 1.0
     ground[25:40] = False
-    assert low.lack_of_objects(ground.ravel(), RESIDUALS)[30, 35] == 0.0
+    assert low.lack_of_objects(ground.ravel(), RESIDUALS).reshape(ROWS.shape)[30, 35] == 0.0
 
 
 def test_where_no_ground_is_near_nothing_is_residual() -> None:
