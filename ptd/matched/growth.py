@@ -2,9 +2,10 @@
 
 A hull reaches the top of a step some metres behind its edge. So ground grows there, cell by cell: a cell above the
 surface joins if it lies on the plane through the ground cells beside it, or level with those that touch it: at the top
-of a bank, the plane of the bank leads above what is level behind it, and few cells make no plane. What stands on the ground rises from it at a
-wall, and on no plane of what is beside it. The faces of banks are on no plane either: on terrain as a whole
-(`ptd.matched.objects`) a cell joins as well if it lies between ground cells on opposite sides and below the upper one.
+of a bank the plane of the bank leads above what is level behind it, and few cells make no plane. What stands on the
+ground rises from it at a wall, and is on no plane of what is beside it. The faces of banks are on no plane either: on
+terrain as a whole (`ptd.matched.objects`) a cell joins as well if it lies between ground cells on opposite sides and
+below the upper one.
 """
 
 from __future__ import annotations
