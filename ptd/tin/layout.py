@@ -48,7 +48,6 @@ __all__ = [
     "next_edge",
     "previous_edge",
     "real_neighbour",
-    "triangle_vertices",
     "triangles_array",
     "vertices_array",
 ]
@@ -112,13 +111,6 @@ def is_ghost(triangles: Int32Array, triangle: int) -> bool:
     """Whether `triangle` has the vertex at infinity, that is, lies outside the hull."""
     row = 8 * triangle
     return bool((triangles[row + 4] | triangles[row + 5] | triangles[row + 6]) < 0)
-
-
-@kernel
-def triangle_vertices(triangles: Int32Array, triangle: int) -> tuple[int, int, int]:
-    """Vertex numbers of `triangle`, counter-clockwise, starting anywhere (a ghost is -1)."""
-    row = 8 * triangle
-    return int(triangles[row + 4]), int(triangles[row + 5]), int(triangles[row + 6])
 
 
 @kernel

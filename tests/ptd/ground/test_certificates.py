@@ -17,6 +17,7 @@ from ptd.methods.classic import Classic
 from ptd.passes import Points
 from ptd.tin.mesh import Tin
 from tests.ptd.scenes import CM, SCENES, Cloud
+from tests.ptd.tin.meshes import outside, triangle_at
 from tests.scenes.windows import SCALE, SIDE, cut, opened
 
 DEFAULTS = Classic()
@@ -192,7 +193,7 @@ def triangle(*corners: tuple[int, int]) -> Tin:
 def doubt_of(tin: Tin, doubt: Doubt) -> list[bool]:
     """Of the real triangles."""
     found = doubt.triangles(tin)
-    return [bool(found[t]) for t in range(tin.n_triangles) if not tin.is_ghost(t)]
+    return [bool(found[t]) for t in range(tin.n_triangles) if not outside(tin, t)]
 
 
 # The circle through these has its centre at (0, 0) and a radius of 5000 counts.
@@ -256,13 +257,13 @@ def test_a_place_in_doubt_is_never_overlooked(corners: list[tuple[int, int]], pl
 
 def test_across_gives_the_triangle_behind_an_edge() -> None:
     tin = triangle((0, 0), (10, 0), (0, 10), (10, 11))
-    real = [t for t in range(tin.n_triangles) if not tin.is_ghost(t)]
-    home = tin.locate(5, 5)
+    real = [t for t in range(tin.n_triangles) if not outside(tin, t)]
+    home = triangle_at(tin, 5, 5)
     arrays = tin.vertex_array, tin.triangle_array
     assert {across(*arrays, home, np.int32(5), np.int32(5)), home} == set(real)
-    assert across(*arrays, tin.locate(2, 2), np.int32(2), np.int32(2)) == tin.locate(2, 2)
+    assert across(*arrays, triangle_at(tin, 2, 2), np.int32(2), np.int32(2)) == triangle_at(tin, 2, 2)
     assert across(*arrays, home, np.int32(10), np.int32(0)) == home
-    assert tin.is_ghost(across(*arrays, tin.locate(5, 0), np.int32(5), np.int32(0)))
+    assert outside(tin, across(*arrays, triangle_at(tin, 5, 0), np.int32(5), np.int32(0)))
 
 
 def test_boxes_in_doubt_cover_each_cell_that_they_touch() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from ptd.frame import Scale
 from ptd.ground.criteria import Limits, accepts, facet_measures, mirror_facet, within
 from ptd.tin.mesh import Tin
+from tests.ptd.tin.meshes import corners_of, outside, triangle_at
 
 Point = tuple[int, int, int]
 
@@ -28,7 +29,9 @@ def in_counts(*values: int) -> tuple[np.int32, ...]:
 
 
 def measure(tin: Tin, x: int, y: int, z: int, ratio: float = 1.0) -> tuple[float, float, float, float]:
-    return facet_measures(tin.vertex_array, tin.triangle_array, tin.locate(x, y), *in_counts(x, y, z), ratio)
+    return facet_measures(
+        tin.vertex_array, tin.triangle_array, triangle_at(tin, x, y), *in_counts(x, y, z), ratio
+    )
 
 
 def limits(**values: float) -> Limits:
@@ -40,7 +43,7 @@ def judge(
 ) -> tuple[bool, bool, bool]:  # type: ignore[assignment]
     """Passed, elsewhere, doubtful; `doubt` are triangles in doubt."""
     in_doubt = np.array([t in doubt for t in range(tin.n_triangles)], np.uint8)
-    t = tin.locate(x, y)
+    t = triangle_at(tin, x, y)
     return accepts(tin.vertex_array, tin.triangle_array, t, *in_counts(x, y, z), limits(**values), in_doubt)
 
 
@@ -94,7 +97,7 @@ def test_on_a_vertex_only_the_vertex_passes(z: int, passed: bool) -> None:
     tin = tin_of((0, 0, 0), (9000, 0, 2000), (0, 9000, 3000), (-9000, 0, 100), (0, -9000, 0))
     found = set()
     for t in range(tin.n_triangles):
-        if 0 in (tin.vertices[v, :2].any() for v in tin.triangle(t) if v >= 0) and not tin.is_ghost(t):
+        if 0 in (tin.vertices[v, :2].any() for v in corners_of(tin, t) if v >= 0) and not outside(tin, t):
             facet = tin.vertex_array, tin.triangle_array, t
             in_doubt = np.zeros(tin.n_triangles, np.uint8)
             found.add(accepts(*facet, *in_counts(0, 0, z), limits(), in_doubt))
@@ -129,11 +132,11 @@ def test_on_a_steep_facet_a_point_is_tested_where_its_mirror_image_lies() -> Non
     x, y = 5_500, 2_000
     arrays = tin.vertex_array, tin.triangle_array
     assert measure(tin, x, y, 0)[2] < math.cos(math.radians(60)) ** 2
-    other, mx, my = mirror_facet(*arrays, tin.locate(x, y), *in_counts(x, y))
+    other, mx, my = mirror_facet(*arrays, triangle_at(tin, x, y), *in_counts(x, y))
     top = next(v for v in ((6_000, 0), (6_000, 12_000)) if (2 * v[0] - x, 2 * v[1] - y) == (mx, my))
     assert top in ((6_000, 0), (6_000, 12_000))
     assert mx == 6_500
-    assert other == tin.locate(mx, my)
+    assert other == triangle_at(tin, mx, my)
 
 
 def test_the_mirror_image_keeps_the_height() -> None:
@@ -149,7 +152,9 @@ def test_the_mirror_image_keeps_the_height() -> None:
 def test_of_equally_high_corners_the_lexicographically_smallest_mirrors() -> None:
     for points in ((0, 0, 9), (4, 0, 9), (0, 4, 0)), ((0, 4, 9), (4, 0, 9), (0, 0, 0)):
         tin = tin_of(*points)
-        _, mx, my = mirror_facet(tin.vertex_array, tin.triangle_array, tin.locate(1, 1), *in_counts(1, 1))
+        _, mx, my = mirror_facet(
+            tin.vertex_array, tin.triangle_array, triangle_at(tin, 1, 1), *in_counts(1, 1)
+        )
         top = min(p for p in points if p[2] == 9)
         assert (mx, my) == (2 * top[0] - 1, 2 * top[1] - 1)
 
@@ -168,18 +173,21 @@ def test_mirrored_on_a_vertex_only_its_height_passes() -> None:
 def test_an_answer_in_doubt() -> None:
     """It rests on its triangle, on that behind the edge it lies on, and on that of its mirror image."""
     tin = tin_of(*TERRACE)
-    flat = tin.locate(1_000, 3_000)
+    flat = triangle_at(tin, 1_000, 3_000)
     assert judge(tin, 1_000, 3_000, 0) == (True, False, False)
     assert judge(tin, 1_000, 3_000, 0, {flat}) == (True, False, True)
     assert judge(tin, 1_000, 3_000, 0, set(range(tin.n_triangles)) - {flat}) == (True, False, False)
 
-    home, behind = tin.locate(5_000, 6_000), {tin.locate(4_999, 6_000), tin.locate(5_001, 6_000)}
+    home, behind = (
+        triangle_at(tin, 5_000, 6_000),
+        {triangle_at(tin, 4_999, 6_000), triangle_at(tin, 5_001, 6_000)},
+    )
     assert home in behind
     for t in range(tin.n_triangles):
         assert judge(tin, 5_000, 6_000, 0, {t})[1:] == (True, t in behind)
 
-    steep, image = tin.locate(5_500, 7_000), tin.locate(6_500, 2 * 12_000 - 7_000)
-    assert tin.is_ghost(image)
+    steep, image = triangle_at(tin, 5_500, 7_000), triangle_at(tin, 6_500, 2 * 12_000 - 7_000)
+    assert outside(tin, image)
     for t in range(tin.n_triangles):
         doubtful = judge(tin, 5_500, 7_000, 0, {t}, terrain_deg=60.0)[2]
         top = mirror_facet(tin.vertex_array, tin.triangle_array, steep, *in_counts(5_500, 7_000))[0]
@@ -204,7 +212,7 @@ def test_measures_are_exact_to_a_few_bits_and_do_not_feel_a_shift(
     n2 = int((normal * normal).sum())
     p = np.array(point, object)
     tin = tin_of(*corners)
-    t = next(t for t in range(4) if not tin.is_ghost(t))
+    t = next(t for t in range(4) if not outside(tin, t))
     got = facet_measures(tin.vertex_array, tin.triangle_array, t, *in_counts(*point), 1.0)
     height = int((normal * (p - a)).sum())
     size = float((abs(normal) * abs(p - a)).sum()) / math.sqrt(n2)
@@ -216,7 +224,7 @@ def test_measures_are_exact_to_a_few_bits_and_do_not_feel_a_shift(
     assert got[3] == pytest.approx(math.sqrt(max(edges)), rel=1e-15)
 
     moved = tin_of(*(tuple(np.add(q, shift)) for q in (corners[2], corners[0], corners[1])))
-    t = next(t for t in range(4) if not moved.is_ghost(t))
+    t = next(t for t in range(4) if not outside(moved, t))
     at = tuple(int(v) for v in np.add(point, shift))
     assert facet_measures(moved.vertex_array, moved.triangle_array, t, *in_counts(*at), 1.0) == got
 

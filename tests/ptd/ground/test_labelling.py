@@ -14,6 +14,7 @@ from ptd.ground.labelling import GroundRule, _is_near, label_points
 from ptd.ground.outliers import LowNoise
 from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
+from tests.ptd.tin.meshes import outside, triangle_at
 
 LIMITS = Limits.of(Scale(), distance_m=1.4, angle_deg=6.0, terrain_deg=88.0)
 FLOOR = 300.0
@@ -72,8 +73,8 @@ def test_what_rests_on_a_triangle_in_doubt_is_marked() -> None:
 def test_on_an_edge_the_triangle_behind_it_counts() -> None:
     tin = flat()
     xyz = Xyz(*(np.array([v], np.int32) for v in (15_000, 20_000, 0)))
-    home = tin.locate(15_000, 20_000)
-    beside = {tin.locate(15_000, 20_001), tin.locate(15_000, 19_999)} - {home}
+    home = triangle_at(tin, 15_000, 20_000)
+    beside = {triangle_at(tin, 15_000, 20_001), triangle_at(tin, 15_000, 19_999)} - {home}
     for t in range(tin.n_triangles):
         in_doubt = (np.arange(tin.n_triangles) == t).astype(np.uint8)
         _, marked = label_points(tin, Locator.of(tin), xyz, in_doubt, GroundRule(LIMITS, FLOOR))
@@ -136,12 +137,12 @@ def test_heights_are_judged_as_point_by_point(seed: int) -> None:
     tin = Tin.build(*random.integers(0, 12, (3, 60)))
     points = Xyz(*random.integers(-2, 14, (3, 2000)).astype(np.int32))
     in_doubt = (random.random(tin.n_triangles) < 0.3).astype(np.uint8)
-    in_doubt[[tin.is_ghost(t) for t in range(tin.n_triangles)]] = 1  # as it always is
+    in_doubt[[outside(tin, t) for t in range(tin.n_triangles)]] = 1  # as it always is
     rule = GroundRule(LIMITS, 1.0, heights_only=True, per_slope=0.5)
     labels, marked = label_points(tin, Locator.of(tin), points, in_doubt, rule)
 
     for label, mark, x, y, z in zip(labels, marked, *points, strict=True):
-        t = tin.locate(int(x), int(y))
+        t = triangle_at(tin, int(x), int(y))
         on_a_vertex = (tin.vertices[:, :2] == (x, y)).all(axis=1).any()
         facet = tin.vertex_array, tin.triangle_array, t
         near, doubtful = _is_near(*facet, int(x), int(y), int(z), in_doubt, rule)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from ptd.methods.chen2023.seed_clusters import ClusterLimits, _flood, _sides, noisy_seeds
 from ptd.tin.mesh import Tin
+from tests.ptd.tin.meshes import corners_of, real_triangles
 
 OFF = ClusterLimits(long_side=0.0, narrow_cos=1.0, small=0, prominence=0.0, z_ratio=1.0)
 CLUSTERS = ClusterLimits(0.0, math.cos(math.radians(15)), 10, 1000.0, 1.0)
@@ -142,10 +143,10 @@ def test_doubt_covers_what_a_change_in_doubtful_facets_can_do(seed: int) -> None
     whole = Tin.build(x, y, z)
     near = x < 4500
     window = Tin.build(x[near], y[near], z[near])
-    facets = {frozenset(map(tuple, f)) for f in whole.vertices[whole.facets()].tolist()}
+    facets = {frozenset(map(tuple, f)) for f in whole.vertices[real_triangles(whole)].tolist()}
     in_doubt = np.zeros(window.n_triangles, np.uint8)
     for t in range(window.n_triangles):
-        corners = window.triangle(t)
+        corners = corners_of(window, t)
         in_doubt[t] = (
             -1 in corners or frozenset(map(tuple, window.vertices[list(corners)].tolist())) not in facets
         )

@@ -12,6 +12,7 @@ from ptd.ground.certificates import Doubt
 from ptd.methods.ridge2016.ridges import AROUND, RidgeRule, ridge_facet, ridge_points
 from ptd.methods.ridge2016.sorted_cells import Stacks
 from ptd.tin.mesh import Tin
+from tests.ptd.tin.meshes import corners_of, triangle_at
 
 M = 1000
 SCALE = Scale()
@@ -33,7 +34,7 @@ def roof(slope: float) -> Callable[[float], float]:
 def at(tin: Tin, x: float, y: float, rule: RidgeRule = RULE, data: np.ndarray | None = None) -> bool:
     """Whether the facet at a place lies on a ridge."""
     data = np.ones(tin.n_vertices, np.bool_) if data is None else data
-    t = tin.locate(round(x * M), round(y * M))
+    t = triangle_at(tin, round(x * M), round(y * M))
     return ridge_facet(tin.vertex_array, tin.triangle_array, t, data, rule, np.empty(AROUND, np.int32))
 
 
@@ -100,7 +101,7 @@ def candidates(centre: tuple[float, float]) -> np.ndarray:
 def place(known: Window, data: np.ndarray | None = None) -> tuple[list[tuple[int, ...]], np.ndarray, Doubt]:
     """Ridge points of the roof among the points near the centre of the facet at (30, 3), that centre, and the doubt."""
     tin = Tin.build(*seeds(roof(1.0)))
-    facet = tin.vertices[list(tin.triangle(tin.locate(30 * M, 3 * M)))].astype(np.int64)
+    facet = tin.vertices[list(corners_of(tin, triangle_at(tin, 30 * M, 3 * M)))].astype(np.int64)
     centre = facet[:, :2].sum(axis=0) / 3 / M
     points = np.rint(candidates((centre[0], centre[1])) * M).astype(np.int32)
     stacks = Stacks(*np.ascontiguousarray(points.T), Cells.of(1.0, SCALE))

@@ -1,0 +1,41 @@
+"""What tests ask of a TIN triangle by triangle, and points put into it one by one."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.tin import Tin, listing
+from ptd.tin.insertion import insert
+from ptd.tin.layout import EVENT, EVENT_FULL, EVENT_KEPT, is_ghost
+from ptd.tin.location import locate
+
+
+def insert_point(tin: Tin, x: int, y: int, z: int, stamp: int = 0) -> tuple[int, bool]:
+    """Insert a point for which there is room: its vertex, and whether the TIN changed."""
+    vertex = insert(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, 0, stamp)
+    assert tin.counters[EVENT] != EVENT_FULL
+    return int(vertex), bool(tin.counters[EVENT] != EVENT_KEPT)
+
+
+def triangle_at(tin: Tin, x: int, y: int) -> int:
+    """The triangle that owns a position."""
+    return int(locate(tin.vertex_array, tin.triangle_array, x, y, 0))
+
+
+def outside(tin: Tin, triangle: int) -> bool:
+    """Whether a triangle has the vertex at infinity."""
+    return bool(is_ghost(tin.triangle_array, triangle))
+
+
+def corners_of(tin: Tin, triangle: int) -> tuple[int, ...]:
+    """Its vertices, counter-clockwise; the one at infinity is -1."""
+    return tuple(tin.triangle_array[8 * triangle + 4 : 8 * triangle + 7].tolist())
+
+
+def real_triangles(tin: Tin) -> npt.NDArray[np.int32]:
+    """Vertices of the real triangles, int32 (m, 3), sorted by their positions, whatever their numbers are."""
+    facets = listing.real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
+    rank = np.empty(tin.n_vertices, np.int32)
+    rank[np.lexsort((tin.vertices[:, 1], tin.vertices[:, 0]))] = np.arange(tin.n_vertices, dtype=np.int32)
+    return facets[np.lexsort(rank[facets].T[::-1])]
