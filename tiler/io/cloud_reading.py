@@ -108,9 +108,6 @@ class _Guarded(io.RawIOBase):
             self._place = offset + (self._place if whence == io.SEEK_CUR else 0)
         return self._place
 
-    def tell(self) -> int:
-        return self._place
-
     def readinto(self, target: Any) -> int:
         for start, content in self.parts:
             if start <= self._place < start + len(content):

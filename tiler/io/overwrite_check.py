@@ -74,11 +74,8 @@ def check_folder(option: str, folder: str | Path, others: Iterable[str | Path]) 
     for other in others:
         theirs = real_place(other)
         if theirs == mine or theirs.startswith(mine.rstrip("/") + "/"):
-            raise ConfigError(f"{option} {folder}: {_relation(theirs == mine)} {other}; name another place")
-
-
-def _relation(same: bool) -> str:
-    return "is the same as" if same else "holds"
+            what = "is the same as" if theirs == mine else "holds"
+            raise ConfigError(f"{option} {folder}: {what} {other}; name another place")
 
 
 def real_place(place: str | Path) -> str:

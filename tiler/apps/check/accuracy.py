@@ -13,10 +13,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 
 from tiler.apps.check.points import NVA, VVA, Checkpoints, PointOptions
 from tiler.apps.evaluate.heights import read_heights, vertical_unit
 from tiler.apps.evaluate.rasters import open_raster
+from tiler.core.crs import same_horizontal, split
 from tiler.core.spread import spread
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError
@@ -108,11 +111,6 @@ def _in_crs_of(
     raster: Any, points: Checkpoints, options: PointOptions, notes: list[str]
 ) -> tuple[Floats, Floats]:
     """X and y of the checkpoints in the raster's CRS; heights are never transformed."""
-    from pyproj import CRS, Transformer
-    from pyproj.exceptions import ProjError
-
-    from tiler.core.crs import same_horizontal, split
-
     text = options.crs or points.crs
     x, y = points.xy
     if text is None:

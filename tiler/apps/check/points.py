@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
@@ -145,8 +146,6 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
 
 def _row_of(feature: Feature) -> Row:
     """A row from a point; its third coordinate is the height, else an attribute is."""
-    import shapely
-
     has_z = bool(feature.geometry.has_z)
     place = shapely.get_coordinates(feature.geometry, include_z=has_z)[0].tolist()
     return row_of(feature.attributes | dict(zip(("x", "y", "z"), place, strict=False)), feature.place)

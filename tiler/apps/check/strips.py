@@ -14,6 +14,7 @@ from tiler.core.classes import GROUND, WITHHELD_FLAG
 from tiler.core.spread import spread
 from tiler.core.units import METRE, unit_label
 from tiler.errors import InputError
+from tiler.ingest import find_inputs, inspect
 from tiler.io.las.columns import class_and_flags, coordinate
 from tiler.io.las.headers import read_header
 from tiler.io.las.reader import EVERYTHING, PointReader
@@ -51,15 +52,11 @@ def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
     InputError
         A file cannot be read, or there is no ground.
     """
-    from tiler.ingest import find_inputs
-
     paths = find_inputs(clouds, results=True)
     return read_apart(_strips_of, paths, paths=paths, memory_bytes=half_of_memory())
 
 
 def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:
-    from tiler.ingest import inspect
-
     place = inspect(paths[0]).georeference
     horizontal = place.horizontal or METRE
     vertical = place.vertical or horizontal

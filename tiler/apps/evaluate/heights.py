@@ -10,12 +10,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import rasterio
+from pyproj import CRS
 
 from tiler.apps.evaluate.maps import refuse_foreign_maps
 from tiler.apps.evaluate.rasters import open_raster, raster_named
+from tiler.core.crs import same_horizontal, split
+from tiler.core.raster import NODATA
 from tiler.core.spread import SpreadTally
 from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
+from tiler.export.geotiff import RasterLook, plain_geotiff, raster_errors
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.partial_files import appearing
 
@@ -136,9 +141,6 @@ def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
     if path is None:
         yield None
         return
-    from tiler.core.raster import NODATA
-    from tiler.export.geotiff import RasterLook, plain_geotiff, raster_errors
-
     crs = pair.truth.crs.to_wkt() if pair.truth.crs else None
     look = RasterLook(crs, unit_label(vertical_unit(pair.truth)), "DTM minus truth", {})
     transform = tuple(pair.truth.transform)[:6]
@@ -175,10 +177,6 @@ def _opened(dtm: Path, truth: Path) -> Iterator[Pair]:
 
 def _check_places(dtm: Path, mine: Any, truth: Path, true: Any) -> None:
     """Refuse rasters that say that they are of different CRS or units."""
-    from pyproj import CRS
-
-    from tiler.core.crs import same_horizontal, split
-
     if mine.crs and true.crs:
         ours, theirs = (CRS.from_wkt(raster.crs.to_wkt()) for raster in (mine, true))
         one, other = split(ours)[0], split(theirs)[0]
@@ -226,8 +224,6 @@ def _files(raster: Any) -> list[str]:
 
 def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
     """Row and column of the blocks of a VRT that a file comes near."""
-    import rasterio
-
     with rasterio.open(path) as part:
         x0, y0, x1, y1 = part.bounds
     place = vrt.transform

@@ -7,6 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import rasterio
+from fsspec.core import url_to_fs
+from pyproj.exceptions import ProjError
+from rasterio.errors import CRSError, RasterioError
+
 from tiler.errors import InputError
 from tiler.io.locations import is_url, state_at
 from tiler.redaction import printable
@@ -29,12 +34,8 @@ def open_raster(path: Path | str, what: str = "cannot be read") -> Iterator[Any]
 
 def opened(path: Path | str) -> Any:
     """The data set of rasterio; of one at a URL what is asked for is read, as its overviews need little."""
-    import rasterio
-
     if not is_url(path):
         return rasterio.open(path)
-    from fsspec.core import url_to_fs
-
     if state_at(str(path)) is None:
         raise InputError(f"{path}: nothing there; name a raster")
     return rasterio.open(str(path), opener=url_to_fs(str(path))[0])
@@ -43,9 +44,6 @@ def opened(path: Path | str) -> Any:
 @contextmanager
 def raster_named(path: Path | str, what: str = "cannot be read") -> Iterator[None]:
     """Turn whatever reading a raster raises into an InputError that names it."""
-    from pyproj.exceptions import ProjError
-    from rasterio.errors import CRSError, RasterioError
-
     try:
         yield
     except (RasterioError, CRSError, ProjError, UnicodeDecodeError) as error:

@@ -9,12 +9,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from tiler.apps.classify import classify_file
 from tiler.apps.evaluate.clouds import Findings, compare_files
 from tiler.apps.evaluate.labels import IGNORED, mean_scores
 from tiler.apps.evaluate.maps import ErrorGrid, write_error_map
 from tiler.config import RunConfig
 from tiler.core.units import METRE
 from tiler.errors import ConfigError, ProcessingError
+from tiler.ingest import find_inputs, inspect
 from tiler.observe.events import Listener, silent
 from tiler.schedule import half_of_memory, read_apart
 
@@ -91,8 +93,6 @@ def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) ->
 
 def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
     """Files, with their place below the folder that was named (without suffix), in the order of `paths`."""
-    from tiler.ingest import find_inputs
-
     found: dict[Path, str] = {}
     for text in paths:
         for path in find_inputs([text], results=True):
@@ -171,8 +171,6 @@ def _compare(
     scene: Scene, ignore: Sequence[int], maps: MapRequest | None
 ) -> tuple[Findings, dict[str, Any], list[str]]:
     """What is found of a scene, how its points were paired, and the maps written."""
-    from tiler.ingest import inspect
-
     if maps is None:
         return *compare_files(scene.cloud, scene.reference), []
     place = inspect(scene.reference).georeference
@@ -212,8 +210,6 @@ def filter_and_evaluate(
     ------
     TilerError
     """
-    from tiler.apps.classify import classify_file
-
     blind = config.updated(keep_classes=())
     listener("note", {"text": "the classes of the clouds are not shown to the filter"})
     with TemporaryDirectory(prefix=".tiler-evaluate-") as scratch:

@@ -10,7 +10,6 @@ import math
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
-from stat import S_ISREG
 from typing import Any, BinaryIO, NoReturn
 
 from tiler.errors import InputError
@@ -118,6 +117,13 @@ def refuse(path: Path, what: str, remedy: str = AGAIN) -> NoReturn:
     raise InputError(f"{path}: {what}; {remedy}")
 
 
+def _salvaged(header: LasHeader, what: str, salvage: bool) -> LasHeader:
+    """The header with a note of a damage that --salvage reads over; raises InputError without it."""
+    if not salvage:
+        refuse(header.path, what, SALVAGE)
+    return header.noted(what)
+
+
 def read_header(path: Path, salvage: bool = False) -> LasHeader:
     """The header of a LAS or LAZ file, checked against the file.
 
@@ -134,9 +140,8 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
     """
     try:
         state = state_of(path)
-        if not is_url(path) and not S_ISREG(
-            path.stat().st_mode
-        ):  # to open a pipe would wait for its other end
+        # To open a pipe would wait for its other end.
+        if not is_url(path) and not path.is_file():
             refuse(path, "is no regular file", "name LAS or LAZ files")
         with open_cloud(path, _BLOCK_BYTES) as stream:
             header = _fixed_block(path, stream, state, salvage)
@@ -179,15 +184,13 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
     if unfinished:
         header_size = least
     elif not least <= header_size <= points_offset <= size:
-        refuse(
-            path, f"says header of {header_size} bytes, points from byte {points_offset}, in a file of {size}"
-        )
-    if form & 0x40 or form & 0x3F >= len(_RECORD_SIZES):
+        what = f"says header of {header_size} bytes, points from byte {points_offset}, in a file of {size}"
+        refuse(path, what)
+    plain = form & 0x3F
+    if form & 0x40 or plain >= len(_RECORD_SIZES):
         refuse(path, f"point format {form} is not known, 0 to 10 are", "convert it")
-    if length < _RECORD_SIZES[form & 0x3F]:
-        refuse(
-            path, f"says records of {length} bytes, format {form & 0x3F} needs {_RECORD_SIZES[form & 0x3F]}"
-        )
+    if length < _RECORD_SIZES[plain]:
+        refuse(path, f"says records of {length} bytes, format {plain} needs {_RECORD_SIZES[plain]}")
     bounds = fields[27:33]
     waveform, evlrs, count = 0, 0, legacy_count
     if minor == 3:
@@ -196,7 +199,7 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
         waveform, evlrs, n_evlrs, count = _LAS14.unpack_from(raw, 227)
         evlrs = evlrs if n_evlrs else 0
     header = LasHeader(
-        path, state, (major, minor), encoding, header_size, points_offset, form & 0x3F, length,
+        path, state, (major, minor), encoding, header_size, points_offset, plain, length,
         count or legacy_count, fields[21:24], fields[24:27], bounds[1::2], bounds[0::2], waveform, evlrs,
         created=(fields[9], fields[8]),
     )  # fmt: skip
@@ -205,9 +208,8 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
     if not all(math.isfinite(o) for o in header.offsets):
         refuse(path, f"offsets {header.offsets} are not all finite")
     if count and legacy_count not in (0, count):
-        header = header.noted(
-            f"says {count} points, and {legacy_count} in the field of LAS 1.3; {count} counts"
-        )
+        what = f"says {count} points, and {legacy_count} in the field of LAS 1.3; {count} counts"
+        header = header.noted(what)
     return header
 
 
@@ -215,9 +217,8 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     """The VLRs, and with them how the points are compressed."""
     unfinished = header.points_offset == 0
     stream.seek(100)
-    (count,) = struct.unpack("<I", stream.read(4))
-    stream.seek(104)
-    compressed = bool(stream.read(1)[0] & 0x80)
+    count, form = struct.unpack("<IB", stream.read(5))
+    compressed = bool(form & 0x80)
     end = header.size if unfinished else header.points_offset
     vlrs, whole = walk_records(stream, header.header_size, count, end, extended=False)
     if not whole:
@@ -242,9 +243,8 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     except LazDamage as damage:
         refuse(header.path, str(damage))
     if layout.item_size != header.record_length:
-        refuse(
-            header.path, f"says records of {header.record_length} bytes, its laszip record {layout.item_size}"
-        )
+        what = f"says records of {header.record_length} bytes, its laszip record {layout.item_size}"
+        refuse(header.path, what)
     return replace(header, laz=layout)
 
 
@@ -253,18 +253,14 @@ def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
     room = (header.points_end - header.points_offset) // header.record_length
     if header.point_count == 0 and room:
         what = f"says 0 points, has room for {room}: it was never finished"
-        if not salvage:
-            refuse(header.path, what, SALVAGE)
-        return replace(header, point_count=room).noted(what)
+        return replace(_salvaged(header, what, salvage), point_count=room)
     if header.point_count < room:
         return header.noted(f"says {header.point_count} points, has room for {room}: the rest is not read")
     room = max(header.size - header.points_offset, 0) // header.record_length
     if header.point_count <= room:
         return header
     what = f"says {header.point_count} points, has room for {room}: cut short"
-    if not salvage:
-        refuse(header.path, what, SALVAGE)
-    return replace(header, point_count=room).noted(what)
+    return replace(_salvaged(header, what, salvage), point_count=room)
 
 
 def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, salvage: bool) -> LasHeader:
@@ -281,15 +277,13 @@ def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, s
         counts, sizes = read_table(stream, layout, header.points_offset, header.size, header.point_count)
         return replace(header, laz=replace(layout, counts=counts, sizes=sizes))
     except LazDamage as damage:
-        if not salvage:
-            refuse(header.path, str(damage), SALVAGE)
-        what = str(damage)
+        header = _salvaged(header, str(damage), salvage)
     if not layout.layers:
         # Chunks of this kind have no header to walk by: the decoder finds where they end.
-        return replace(header, laz=replace(layout, rebuilt=True)).noted(what)
+        return replace(header, laz=replace(layout, rebuilt=True))
     counts, sizes = walk_chunks(stream, layout, header.points_offset, header.size)
     layout = replace(layout, counts=counts, sizes=sizes, rebuilt=True)
-    return replace(header, laz=layout, point_count=int(counts.sum())).noted(what)
+    return replace(header, laz=layout, point_count=int(counts.sum()))
 
 
 def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
@@ -301,16 +295,15 @@ def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
     if count == 0:
         return header
     points_end = header.points_offset + (0 if header.laz else header.point_count * header.record_length)
-    evlrs, whole = (
-        ((), False) if start < points_end else walk_records(stream, start, count, header.size, True)
-    )
+    evlrs: tuple[VariableRecord, ...] = ()
+    whole = False
+    if start >= points_end:
+        evlrs, whole = walk_records(stream, start, count, header.size, extended=True)
     if not whole:
         what = (
             f"says {count} extended records from byte {start}, {len(evlrs)} are whole in {header.size} bytes"
         )
-        if not salvage:
-            refuse(header.path, what, SALVAGE)
-        header = header.noted(what)
+        header = _salvaged(header, what, salvage)
     return replace(header, evlrs=evlrs)
 
 

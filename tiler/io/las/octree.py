@@ -126,7 +126,11 @@ def read_octree(header: LasHeader) -> Octree:
         found[chunk] = entry
     if len(found) != len(chunk_at):
         raise LazDamage(f"its octree names {len(found)} of {len(chunk_at)} chunks")
-    return _tree(info, found, int(layout.counts.size))
+    keys = [(0, 0, 0)] * layout.counts.size  # chunks without points are in no node
+    for chunk, entry in found.items():
+        keys[chunk] = (entry.key.level, entry.key.x, entry.key.y)
+    west, south = (float(c - info.halfsize) for c in info.center[:2])
+    return Octree(west, south, 2 * float(info.halfsize), tuple(keys))
 
 
 def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entry]:
@@ -158,11 +162,3 @@ def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entr
             elif entry.point_count < -1:
                 raise LazDamage(f"its octree has a node of {entry.point_count} points")
     return found
-
-
-def _tree(info: CopcInfoVlr, found: dict[int, Entry], chunks: int) -> Octree:
-    keys = [(0, 0, 0)] * chunks  # chunks without points are in no node
-    for chunk, entry in found.items():
-        keys[chunk] = (entry.key.level, entry.key.x, entry.key.y)
-    west, south = (float(c - info.halfsize) for c in info.center[:2])
-    return Octree(west, south, 2 * float(info.halfsize), tuple(keys))

@@ -10,6 +10,7 @@ from typing import Any
 
 from pyproj import CRS
 from pyproj.exceptions import ProjError
+from shapely.errors import ShapelyError
 
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt, member, read_object
@@ -82,8 +83,6 @@ def _check_geojson(path: Path, wanted: str) -> list[bool]:
 @contextmanager
 def reading(path: Path) -> Iterator[list[str]]:
     """What libraries raise while a file is read becomes one line, and what they warn of is collected."""
-    from shapely.errors import ShapelyError
-
     told: list[str] = []
     try:
         with warnings.catch_warnings(record=True) as caught:

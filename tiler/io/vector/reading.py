@@ -8,19 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import shapely
+from shapely.geometry.base import BaseGeometry
 
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
 from tiler.io.vector.opening import check_file, reading
 from tiler.io.vector.reprojection import in_crs
 from tiler.redaction import printable
-
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
 
 HEIGHT_COLUMNS = ("z", "h", "height", "elevation", "elev", "ele", "altitude")
 """Names of attributes that hold the height of a feature drawn in two dimensions, in lower case."""
@@ -167,8 +166,6 @@ def _features(
 
     ``present`` says of which records the file holds a geometry: one that is there, and still none, is damaged.
     """
-    import shapely
-
     for number, (shape, attributes) in enumerate(records, start=1):
         where = f"{place}, feature {number}"
         if shape is None and present is not None and present[number - 1]:
@@ -189,15 +186,14 @@ def _features(
             raise InputError(
                 f"{where}: is a {geometry.geom_type}; {kind.name} are wanted: write them to a file of their own"
             )
-        places = shapely.get_coordinates(geometry, include_z=bool(geometry.has_z))
-        _check_places(where, places)
+        _check_places(where, shapely.get_coordinates(geometry))
         yield Feature(where, geometry, {k: _plain(v) for k, v in attributes.items()})
 
 
 def _check_places(where: str, places: npt.NDArray[np.float64]) -> None:
-    if not np.isfinite(places[:, :2]).all():
+    if not np.isfinite(places).all():
         raise InputError(f"{where}: has a place that is no number; draw it again")
-    if np.abs(places[:, :2]).max() >= FARTHEST:
+    if np.abs(places).max() >= FARTHEST:
         raise InputError(f"{where}: has a place farther away than {FARTHEST:g}; write coordinates of its CRS")
 
 
@@ -232,8 +228,7 @@ def read_in_crs(
         As `read_features`; no CRS where the run has one; no height where one is needed.
     """
     found = read_features(path, kind, every_layer)
-    notes = list(found.notes)
-    features = list(found.features)
+    notes, features = list(found.notes), list(found.features)
     if needs_z:
         features = [_with_heights(feature) for feature in features]
     features = _mended(path, features, notes)
@@ -244,8 +239,6 @@ def read_in_crs(
 
 def _with_heights(feature: Feature) -> Feature:
     """The feature with a height at every place; raises InputError."""
-    import shapely
-
     geometry = feature.geometry
     if geometry.has_z and np.isfinite(shapely.get_coordinates(geometry, include_z=True)[:, 2]).all():
         return feature
@@ -257,8 +250,6 @@ def _with_heights(feature: Feature) -> Feature:
 
 def _mended(path: Path, features: list[Feature], notes: list[str]) -> list[Feature]:
     """Features whose polygons are valid: a place is inside where it is by an odd number of crossings."""
-    import shapely
-
     polygons = [f.geometry.geom_type in POLYGONS.types for f in features]
     broken = [i for i, f in enumerate(features) if polygons[i] and not shapely.is_valid(f.geometry)]
     mended = list(features)
@@ -281,8 +272,6 @@ def tell_outside(path: Path, features: Features, extent: tuple[float, float, flo
     extent : (west, south, east, north)
         Of the survey, in units of the features' CRS.
     """
-    import shapely
-
     survey = shapely.box(*extent)
     outside = [f for f in features.features if not shapely.intersects(survey, f.geometry)]
     if not outside:

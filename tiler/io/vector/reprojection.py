@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 from pyproj import CRS, Transformer
 from pyproj.enums import TransformDirection
 from pyproj.exceptions import ProjError
+from shapely.geometry.base import BaseGeometry
 
 from tiler.core.crs import same_horizontal, split
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt
-
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
 
 MOST_HALVINGS = 12
 """How often an edge is halved at most, where it bends on its way into another CRS."""
@@ -93,8 +92,6 @@ class _Beyond(Exception):
 
 def _rebuilt(geometry: BaseGeometry, moved: Any) -> BaseGeometry:
     """A geometry with each of its lines and rings, or its place, moved."""
-    import shapely
-
     if geometry.geom_type == "Polygon":
         rings = [moved(_places(ring), True) for ring in (geometry.exterior, *geometry.interiors)]
         return shapely.Polygon(rings[0], rings[1:])
@@ -102,17 +99,11 @@ def _rebuilt(geometry: BaseGeometry, moved: Any) -> BaseGeometry:
         return shapely.LineString(moved(_places(geometry), False))
     if geometry.geom_type == "Point":
         return shapely.Point(moved(_places(geometry), False)[0])
-    parts = [_rebuilt(part, moved) for part in geometry.geoms]
-    return {
-        "MultiPolygon": shapely.MultiPolygon,
-        "MultiLineString": shapely.MultiLineString,
-        "MultiPoint": shapely.MultiPoint,
-    }[geometry.geom_type](parts)
+    parts: BaseGeometry = type(geometry)([_rebuilt(part, moved) for part in geometry.geoms])
+    return parts
 
 
 def _places(geometry: BaseGeometry) -> Places:
-    import shapely
-
     places: Places = shapely.get_coordinates(geometry, include_z=bool(geometry.has_z))
     return places
 

@@ -10,7 +10,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import shapely
+from pyproj import CRS
 
+from tiler.core.crs import split
 from tiler.errors import refused_write
 from tiler.io.partial_files import appearing
 
@@ -41,7 +44,6 @@ class GeoPackage:
         columns : mapping of str to arrays
             A value for each geometry; objects are text.
         """
-        import shapely
         from pyogrio import raw
 
         dimensions = 3 if kind.endswith(" Z") else 2
@@ -96,10 +98,6 @@ def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
 
 
 def _horizontal(crs: str | None) -> str | None:
-    from pyproj import CRS
-
-    from tiler.core.crs import split
-
     if crs is None:
         return None
     horizontal = split(CRS.from_user_input(crs))[0]
