@@ -35,13 +35,12 @@ class MemoryStore:
 
     meta: Meta = field(default_factory=Meta)
     pieces: dict[str, PointBlock] = field(default_factory=dict)
-    indices: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)
     written: dict[Cell, PointBlock] = field(default_factory=dict)
     candidates: dict[Cell, int] = field(default_factory=dict)
     labels: dict[tuple[str, Cell], np.ndarray] = field(default_factory=dict)
 
-    def write_piece(self, piece: str, block: PointBlock, index: list[tuple[int, int, int]]) -> None:
-        self.pieces[piece], self.indices[piece] = block, index
+    def write_piece(self, piece: str, block: PointBlock) -> None:
+        self.pieces[piece] = block
 
     def read_fragment(self, piece: str, start: int, stop: int) -> PointBlock:
         return self.pieces[piece].take(slice(start, stop))

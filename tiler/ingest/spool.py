@@ -119,7 +119,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
         dropped[OUTSIDE_AREA] = sum(number for _, _, number in left)
     block = block.take(order)
     if len(block):
-        store.write_piece(work.piece, block, index)
+        store.write_piece(work.piece, block)
     return {
         "read": sum(count for _, count in ranges),
         "stored": len(block),

@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from functools import reduce
 
+import numpy as np
+import scipy
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
@@ -20,7 +21,7 @@ from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.lattice import Bounds
 from tiler.errors import ConfigError
 from tiler.ingest import SourceInfo
-from tiler.plan.sizes import bounds_of
+from tiler.plan.sizes import bounds_of, hull_of
 
 FRAME = 2 * (INT32_LIMIT - 10_000 * COUNTS_PER_UNIT)
 """Counts across which coordinates fit the frame, whose origin is the middle on a round number; a halo has room."""
@@ -58,7 +59,7 @@ def beyond_frame(sources: Sequence[SourceInfo], area: Area | None, wkt: str | No
     absurd = [(s, _absurd(s, metres)) for s in sources]
     found = [(s, reason) for s, reason in absurd if reason]
     left = [s for s, reason in absurd if not reason]
-    while left and not _fits(_hull(left)):
+    while left and not _fits(hull_of(left)):
         if area is not None:
             near = [s for s in left if bounds_of(s).overlaps(area.bounds.pad(FRAME // PARTS))]
             if near and len(near) < len(left):
@@ -90,7 +91,7 @@ def minority(sources: Sequence[SourceInfo], wkt: str | None, metres: float, reme
     others, elsewhere = [s for *_, part in rest for s in part], max((entry[1] for entry in rest), default=1)
     if used > elsewhere or (others and used == elsewhere and FEW * len(others) <= len(sources)):
         return [(s, _reason(s, main, metres, remedy)) for s in others]
-    span = _span(_hull(sources))
+    span = _span(hull_of(sources))
     wide = [s for s in sources if 2 * _span(bounds_of(s)) > span]
     if wide and FEW * len(wide) <= len(sources):
         return [
@@ -98,7 +99,7 @@ def minority(sources: Sequence[SourceInfo], wkt: str | None, metres: float, reme
         ]
     ends = wide[:1] or [pick(sources, key=lambda s: sum(bounds_of(s).to_json())) for pick in (min, max)]
     named = " and ".join(str(s.path) for s in ends) + (": its points lie" if wide else " lie")
-    raise ConfigError(f"{named} up to {_km(_hull(sources), metres)} from one another: {remedy}")
+    raise ConfigError(f"{named} up to {_km(hull_of(sources), metres)} from one another: {remedy}")
 
 
 def _absurd(source: SourceInfo, metres: float) -> str | None:
@@ -126,17 +127,13 @@ def _fits(bounds: Bounds) -> bool:
     return _span(bounds) <= FRAME
 
 
-def _hull(sources: Iterable[SourceInfo]) -> Bounds:
-    return reduce(Bounds.union, map(bounds_of, sources))
-
-
 def _without(sources: Iterable[SourceInfo], far: LeftOut) -> list[SourceInfo]:
     gone = {s.path for s, _ in far}
     return [s for s in sources if s.path not in gone]
 
 
 def _reason(source: SourceInfo, others: Sequence[SourceInfo], metres: float, remedy: str) -> str:
-    bounds, hull = bounds_of(source), _hull(others)
+    bounds, hull = bounds_of(source), hull_of(others)
     x, y = bounds.x0 / COUNTS_PER_UNIT, bounds.y0 / COUNTS_PER_UNIT
     aside = max(hull.x0 - bounds.x1, bounds.x0 - hull.x1, 0)
     along = max(hull.y0 - bounds.y1, bounds.y0 - hull.y1, 0)
@@ -146,27 +143,19 @@ def _reason(source: SourceInfo, others: Sequence[SourceInfo], metres: float, rem
 
 def _parts(sources: Sequence[SourceInfo]) -> list[list[SourceInfo]]:
     """Files in parts between which there is an empty cell, of `PARTS` along the longer side of all."""
-    hull = _hull(sources)
-    side = max(hull.x1 - hull.x0, hull.y1 - hull.y0) // PARTS + 1
-    held: dict[tuple[int, int], list[int]] = defaultdict(list)
-    cells_of: list[list[tuple[int, int]]] = []
-    for number, bounds in enumerate(map(bounds_of, sources)):
-        columns = range((bounds.x0 - hull.x0) // side, (bounds.x1 - 1 - hull.x0) // side + 1)
-        rows = range((bounds.y0 - hull.y0) // side, (bounds.y1 - 1 - hull.y0) // side + 1)
-        cells_of.append([(column, row) for column in columns for row in rows])
-        for cell in cells_of[-1]:
-            held[cell].append(number)
-    parts, left = [], set(held)
-    while left:
-        reached, part = [left.pop()], set[int]()
-        while reached:
-            x, y = reached.pop()
-            part.update(held[x, y])
-            near = {(x + i, y + j) for i in (-1, 0, 1) for j in (-1, 0, 1)} & left
-            left -= near
-            reached += near
-        parts.append([sources[number] for number in sorted(part)])
-    return parts
+    hull = hull_of(sources)
+    side = _span(hull) // PARTS + 1
+    held, windows = np.zeros((PARTS, PARTS), np.bool_), []
+    for bounds in map(bounds_of, sources):
+        columns = slice((bounds.x0 - hull.x0) // side, (bounds.x1 - 1 - hull.x0) // side + 1)
+        rows = slice((bounds.y0 - hull.y0) // side, (bounds.y1 - 1 - hull.y0) // side + 1)
+        held[rows, columns] = True
+        windows.append((rows, columns))
+    numbers = scipy.ndimage.label(held, np.ones((3, 3), np.bool_))[0]
+    parts: dict[int, list[SourceInfo]] = defaultdict(list)
+    for source, window in zip(sources, windows, strict=True):
+        parts[int(numbers[window].flat[0])].append(source)
+    return list(parts.values())
 
 
 def _in_use(source: SourceInfo, wkt: str | None) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from functools import reduce
 
 import numpy as np
 
@@ -59,26 +60,22 @@ def density_of(
 
 def extent_of(sources: Sequence[SourceInfo], metres: float) -> tuple[Bounds, float]:
     """Union of the sources' bounds in absolute counts, and the area that they cover in m2 (overlaps count twice)."""
-    area = 0.0
-    union: Bounds | None = None
-    for source in sources:
-        assert source.bounds is not None  # the caller's choice
-        x0, y0, _, x1, y1, _ = source.bounds
-        area += max(x1 - x0, 1.0) * max(y1 - y0, 1.0) * metres**2
-        bounds = bounds_of(source)
-        union = bounds if union is None else union.union(bounds)
-    assert union is not None  # at least one source
-    return union, area
+    boxes = [source.bounds for source in sources if source.bounds is not None]
+    area = sum(max(x1 - x0, 1.0) * max(y1 - y0, 1.0) * metres**2 for x0, y0, _, x1, y1, _ in boxes)
+    return hull_of(sources), area
+
+
+def hull_of(sources: Iterable[SourceInfo]) -> Bounds:
+    """The smallest bounds that hold some sources, all of which have points."""
+    return reduce(Bounds.union, map(bounds_of, sources))
 
 
 def bounds_of(source: SourceInfo) -> Bounds:
     """The bounds of a source that has points, in absolute counts."""
     assert source.bounds is not None  # the caller's choice
     x0, y0, _, x1, y1, _ = source.bounds
-    low, high = (
-        (math.floor(v * COUNTS_PER_UNIT) for v in (x0, y0)),
-        (math.ceil(v * COUNTS_PER_UNIT) + 1 for v in (x1, y1)),
-    )
+    low = (math.floor(v * COUNTS_PER_UNIT) for v in (x0, y0))
+    high = (math.ceil(v * COUNTS_PER_UNIT) + 1 for v in (x1, y1))
     return Bounds(*low, *high)
 
 

@@ -12,7 +12,7 @@ from tiler.io.locations import states_at
 from tiler.io.result_folder import below
 from tiler.runs.job import Job
 from tiler.stages.fingerprints import contents
-from tiler.stages.outdated import NAMED, move_aside
+from tiler.stages.outdated import move_aside, named
 
 STAGE = "verify"
 
@@ -55,7 +55,4 @@ def take_back_spoilt(job: Job, stage: str, files: Mapping[str, str]) -> None:
     if changed:
         paths = sorted(below(job.products, files[key]) for key in changed)
         place = move_aside(job.products, paths)
-        more = f" and {len(paths) - NAMED:,} more" if len(paths) > NAMED else ""
-        job.note(
-            f"{', '.join(paths[:NAMED])}{more}: changed since a run wrote them; moved to {place}/ and made again"
-        )
+        job.note(f"{named(paths)}: changed since a run wrote them; moved to {place}/ and made again")

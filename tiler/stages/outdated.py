@@ -60,9 +60,8 @@ def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
     job.facts["made_of"] = dict.fromkeys(kept, basis)
     job.facts["earlier_outputs"] = dict.fromkeys(wanted)
     if stale:
-        more = f" and {len(stale) - NAMED:,} more" if len(stale) > NAMED else ""
         job.note(
-            f"{', '.join(stale[:NAMED])}{more}: of an earlier run with other settings or inputs, and not of this one; "
+            f"{named(stale)}: of an earlier run with other settings or inputs, and not of this one; "
             f"moved to {aside}/"
         )
     job.save("running")
@@ -105,6 +104,12 @@ def move_aside(out: str, paths: Sequence[str]) -> str:
     for path in paths:
         _move(out, path, joined(out, folder, path))
     return folder
+
+
+def named(paths: Sequence[str]) -> str:
+    """The first of some files by name, and how many more there are."""
+    more = f" and {len(paths) - NAMED:,} more" if len(paths) > NAMED else ""
+    return ", ".join(paths[:NAMED]) + more
 
 
 def _taken(out: str, places: list[str]) -> bool:

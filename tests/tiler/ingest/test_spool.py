@@ -131,7 +131,7 @@ def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
         pieces: ClassVar[dict[str, PointBlock]] = {}
         meta = SimpleNamespace(frame=CoordFrame(), bucket=Lattice(Fraction(50_000)), has_rgb=False)
 
-        def write_piece(self, piece: str, block: PointBlock, index: Any) -> None:
+        def write_piece(self, piece: str, block: PointBlock) -> None:
             self.pieces[piece] = block
 
     store = Store()

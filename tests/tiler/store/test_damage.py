@@ -66,7 +66,7 @@ ARRAYS: dict[str, tuple[str, Callable[[TileStore], object]]] = {
 def test_a_damaged_chunk_is_an_error(filled: TileStore, damage: Callable[[Path], None], kind: str) -> None:
     cell, info = next(iter(filled.buckets().items()))
     filled.write_labels("p", cell, np.zeros(info.n, np.uint8))
-    filled.write_piece("a", make_points(np.arange(100), np.arange(100)), [(0, 0, 100)])
+    filled.write_piece("a", make_points(np.arange(100), np.arange(100)))
     chunk, read = ARRAYS[kind]
     damage(Path(filled.url, chunk))
     with pytest.raises(StoreError):

@@ -163,7 +163,7 @@ def test_only_what_is_the_stores_own_is_removed(filled: TileStore) -> None:
     (root / "points" / "link").symlink_to(root / "clouds")
     scratch = root / "points" / "xyz" / "c" / f"0.{'0a' * 16}.partial"
     scratch.write_bytes(b"killed")
-    filled.write_piece("s0", _no_points(), [])
+    filled.write_piece("s0", _no_points())
     filled.drop_spool()
     filled.tidy()
     assert not scratch.exists()
@@ -201,7 +201,7 @@ def test_a_store_of_an_earlier_version_can_be_begun_anew(local_store: TileStore)
 
 
 def test_all_keys_of_a_store_are_known(filled: TileStore) -> None:
-    filled.write_piece("s0", _no_points(), [])
+    filled.write_piece("s0", _no_points())
     filled.write_labels("labels-1", *_labels(filled))
     filled.create_raster("dtm", 3, 3)
     filled.write_block("dtm", Block(0, 0, 3, 3), np.ones((3, 3), np.float32))
