@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import pytest
 
 from tests.integration.cloud import BUCKET, object_store
 from tests.invariants import clouds
-from tests.invariants.runs import settings
+from tests.invariants.runs import do, settings
 from tiler.pipeline import RunResult, run
 from tiler.simulate import AlsSensor, DemoScene, demo_city
 
@@ -21,6 +22,20 @@ SIDE_M = 200.0
 def cloud(tmp_path: Path) -> Path:
     """A file of 60 m of a city; modules that run often on one have their own."""
     return clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
+
+
+@pytest.fixture(scope="session")
+def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of 150 m of a city."""
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(150.0, 1.5))
+
+
+@pytest.fixture(scope="session")
+def city_run(city: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """OUT of a run on the city. Not to be changed."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    do(city, out)
+    return out
 
 
 @pytest.fixture(scope="session")
@@ -60,3 +75,22 @@ def bucket() -> Iterator[Any]:
         system.mkdir(BUCKET)
         yield system
         s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands that start a process for what they read do it here: hundreds would take minutes."""
+
+    def here(guard: Any, function: Any, *arguments: Any, **named: Any) -> Any:
+        return function(*arguments, **named)
+
+    for module in ("tiler.apps.preview", "tiler.apps.classify"):
+        monkeypatch.setattr(f"{module}.read_guarded", here)
+    for module in ("classify", "preview", "evaluate"):
+        command = f"cli.commands.{module}.read_config"
+        read = __import__(f"cli.commands.{module}", fromlist=["read_config"]).read_config
+        monkeypatch.setattr(command, functools.partial(_in_process, read))
+
+
+def _in_process(read: Any, *arguments: Any) -> Any:
+    return read(*arguments).updated(in_process=True)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
 from tests.scenes.damages import DAMAGES, flip
 from tiler.errors import StoreError
@@ -30,22 +29,10 @@ WHOLE = {
 }
 
 
-@pytest.fixture(scope="module")
-def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(150.0, 1.5))
-
-
-@pytest.fixture(scope="module")
-def whole(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("whole") / "out"
-    do(cloud, out)
-    return out
-
-
 @pytest.fixture
-def out(whole: Path, tmp_path: Path) -> Path:
+def out(city_run: Path, tmp_path: Path) -> Path:
     """A finished run without its files, so that they are made from the store again."""
-    shutil.copytree(whole, tmp_path / "out")
+    shutil.copytree(city_run, tmp_path / "out")
     (tmp_path / "out" / "dtm.tif").unlink()
     shutil.rmtree(tmp_path / "out" / "classified")
     return tmp_path / "out"
@@ -53,67 +40,67 @@ def out(whole: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("damaged", [False, True])
 def test_a_source_is_decoded_again_only_where_its_records_are_damaged(
-    damaged: bool, cloud: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    damaged: bool, city: Path, city_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     decoded = []
     monkeypatch.setattr(classified, "PointReader", lambda *a, **k: decoded.append(a) or PointReader(*a, **k))
-    do(cloud, tmp_path, until="ingest")
+    do(city, tmp_path, until="ingest")
     (chunk,) = (tmp_path / "store.zarr").glob("records/*/c/0/0")
     if damaged:
         flip(chunk)
-    assert do(cloud, tmp_path).exit_code == 0
-    assert output_digests(tmp_path) == output_digests(whole)
+    assert do(city, tmp_path).exit_code == 0
+    assert output_digests(tmp_path) == output_digests(city_run)
     assert len(decoded) == damaged
     assert not chunk.exists()
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("kind", CHUNKS)
-def test_a_damaged_chunk_is_made_again(kind: str, damage: str, cloud: Path, whole: Path, out: Path) -> None:
+def test_a_damaged_chunk_is_made_again(kind: str, damage: str, city: Path, city_run: Path, out: Path) -> None:
     pattern, redone = CHUNKS[kind]
     DAMAGES[damage](max((out / "store.zarr").glob(pattern), key=lambda p: p.stat().st_size))
     # A new resolution needs the labels and points again, which the files alone may not.
-    result = do(cloud, out)
+    result = do(city, out)
     assert result.exit_code == 0
-    assert output_digests(out) == output_digests(whole)
+    assert output_digests(out) == output_digests(city_run)
     for stage, tasks in redone.items():
         assert result.summary["stages"][stage]["computed"] == tasks
 
 
 @pytest.mark.parametrize("kind", WHOLE)
-def test_what_is_damaged_as_a_whole_is_made_again(kind: str, cloud: Path, whole: Path, out: Path) -> None:
+def test_what_is_damaged_as_a_whole_is_made_again(kind: str, city: Path, city_run: Path, out: Path) -> None:
     flip(next((out / "store.zarr").glob(WHOLE[kind])))
-    result = do(cloud, out)
+    result = do(city, out)
     assert result.exit_code == 0
-    assert output_digests(out) == output_digests(whole)
+    assert output_digests(out) == output_digests(city_run)
     assert result.summary["stages"]["spool"]["computed"] == 0
 
 
-def test_a_damaged_spool_is_decoded_again(cloud: Path, whole: Path, tmp_path: Path) -> None:
+def test_a_damaged_spool_is_decoded_again(city: Path, city_run: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    do(cloud, out, until="ingest")
+    do(city, out, until="ingest")
     shutil.rmtree(out / "store.zarr" / "commits" / "assemble")
     flip(max((out / "store.zarr" / "spool").rglob("c/*/0"), key=lambda p: p.stat().st_size))
-    result = do(cloud, out)
+    result = do(city, out)
     assert result.summary["healed"]
-    assert output_digests(out) == output_digests(whole)
+    assert output_digests(out) == output_digests(city_run)
 
 
-def test_a_raster_that_is_made_at_once_is_made_again(cloud: Path, tmp_path: Path) -> None:
+def test_a_raster_that_is_made_at_once_is_made_again(city: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    do(cloud, out, products=("dtm", "mask"))
+    do(city, out, products=("dtm", "mask"))
     mask = (out / "mask.tif").read_bytes()
     (out / "mask.tif").unlink()
     store = open_store(str(out / "store.zarr"))
     store.clear("grid-mask")
     flip(next((out / "store.zarr").glob("rasters/survey/c/*/*")))
-    result = do(cloud, out, products=("dtm", "mask"))
+    result = do(city, out, products=("dtm", "mask"))
     assert result.summary["healed"]
     assert (out / "mask.tif").read_bytes() == mask
 
 
 def test_a_disk_that_damages_everything_ends_the_run(
-    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from tiler.store import points
 
@@ -127,4 +114,4 @@ def test_a_disk_that_damages_everything_ends_the_run(
 
     monkeypatch.setattr(points, "write_rows", damaging)
     with pytest.raises(StoreError, match="damaged or gone; run again"):
-        do(cloud, tmp_path / "out")
+        do(city, tmp_path / "out")

@@ -11,7 +11,6 @@ import pytest
 import rasterio
 
 from tests.integration import deadly
-from tests.invariants import clouds
 from tests.invariants.runs import do, dtm, output_digests, the_store
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import HOLE
@@ -19,17 +18,12 @@ from tiler.core.products import HOLE
 SETTINGS = {"in_process": False, "workers": 2, "tile_size": "64", "products": "dtm,mask"}
 
 
-@pytest.fixture(scope="module")
-def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(150.0, 1.5))
-
-
 @pytest.fixture
 def deadly_cells(
-    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_buckets: None
+    city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_buckets: None
 ) -> list[list[int]]:
     """The buckets of a tile that will be deadly to its worker; the ingest is done."""
-    do(cloud, tmp_path / "out", tile_size="64", until="filter")
+    do(city, tmp_path / "out", tile_size="64", until="filter")
     cells: list[list[int]] = max(the_store(tmp_path / "out").committed("filter0").items())[1][1]["cells"]
     monkeypatch.setattr("tiler.stages.tasks.filter_tile", deadly.deadly_tile)
     monkeypatch.setenv(deadly.CELL, f"{cells[0][0]},{cells[0][1]}")
@@ -48,7 +42,7 @@ def test_a_deadly_tile_leaves_a_hole_that_is_told(
     deed: str,
     cause: str,
     settings: dict[str, int],
-    cloud: Path,
+    city: Path,
     tmp_path: Path,
     deadly_cells: list[list[int]],
     monkeypatch: pytest.MonkeyPatch,
@@ -56,7 +50,7 @@ def test_a_deadly_tile_leaves_a_hole_that_is_told(
     out = tmp_path / "out"
     monkeypatch.setenv(deadly.DEED, deed)
     parameters = {"iteration_distance": "1.39"}
-    result = do(cloud, out, parameters=parameters, **SETTINGS, **settings)
+    result = do(city, out, parameters=parameters, **SETTINGS, **settings)
     assert result.exit_code == 5
     (failed,) = result.summary["failed_tasks"]
     assert failed["stage"] == "filter0"
@@ -68,7 +62,7 @@ def test_a_deadly_tile_leaves_a_hole_that_is_told(
     told = [e["event"] for e in events if e["event"].startswith("task_") and e["key"] == failed["key"]]
     assert told[-3:] == ["task_again", "task_again", "task_failed"]
     west, south, east, north = failed["bounds"]
-    before, after = laspy.read(cloud), laspy.read(out / "classified" / cloud.name)
+    before, after = laspy.read(city), laspy.read(out / "classified" / city.name)
     inside = (before.x >= west) & (before.x < east) & (before.y >= south) & (before.y < north)
     assert inside.sum() > 100
     assert np.array_equal(np.asarray(before.classification)[inside], np.asarray(after.classification)[inside])
@@ -77,8 +71,8 @@ def test_a_deadly_tile_leaves_a_hole_that_is_told(
     assert_hole_in_mask(out, failed["bounds"])
     # What was passing is gone: the same command ends in the bytes of a run in peace.
     monkeypatch.setenv(deadly.CELL, "0,0")
-    assert do(cloud, out, parameters=parameters, tile_size="64", products="dtm,mask").exit_code == 0
-    do(cloud, tmp_path / "peace", tile_size="64", products="dtm,mask", parameters=parameters)
+    assert do(city, out, parameters=parameters, tile_size="64", products="dtm,mask").exit_code == 0
+    do(city, tmp_path / "peace", tile_size="64", products="dtm,mask", parameters=parameters)
     assert output_digests(out) == output_digests(tmp_path / "peace")
 
 
@@ -96,27 +90,27 @@ def assert_hole_in_mask(out: Path, bounds: list[float]) -> None:
 
 
 def test_buckets_that_fail_leave_a_hole_that_is_told(
-    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_buckets: None
+    city: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_buckets: None
 ) -> None:
     out, settings = tmp_path / "out", {"tile_size": "64", "products": "dtm,mask"}
-    do(cloud, tmp_path / "peace", **settings)
+    do(city, tmp_path / "peace", **settings)
     groups = the_store(tmp_path / "peace").committed("assemble")
     key = max(groups, key=lambda k: sum(b["n"] for b in groups[k][1]["buckets"]))
     ix, iy = groups[key][1]["buckets"][0]["cell"]
     monkeypatch.setattr("tiler.stages.ingest_tasks.assemble_buckets", deadly.failing_group)
     monkeypatch.setenv(deadly.CELL, f"{ix},{iy}")
-    result = do(cloud, out, **settings)
+    result = do(city, out, **settings)
     assert result.exit_code == 5
     (failed,) = result.summary["failed_tasks"]
     assert (failed["stage"], failed["key"]) == ("assemble", key)
     assert "this group fails" in failed["error"]
     assert_hole_in_mask(out, failed["bounds"])
     west, south, east, north = failed["bounds"]
-    las = laspy.read(out / "classified" / cloud.name)
+    las = laspy.read(out / "classified" / city.name)
     inside = (las.x >= west) & (las.x < east) & (las.y >= south) & (las.y < north)
     classes = np.asarray(las.classification)
     assert (classes[inside] == 1).all(), "they keep the class that they came with"
     assert (classes[~inside] == 2).any()
     monkeypatch.setenv(deadly.CELL, "0,0")
-    assert do(cloud, out, **settings).exit_code == 0
+    assert do(city, out, **settings).exit_code == 0
     assert output_digests(out) == output_digests(tmp_path / "peace")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import pytest
@@ -13,24 +12,7 @@ from tests.integration.trees import STEPS, TREES, planted, put, tried
 
 FEW, MANY = 20, 250
 
-
-@pytest.fixture(autouse=True)
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands that start a process for what they read do it here: hundreds would take minutes."""
-
-    def here(guard: Any, function: Any, *arguments: Any, **named: Any) -> Any:
-        return function(*arguments, **named)
-
-    for module in ("tiler.apps.preview", "tiler.apps.classify"):
-        monkeypatch.setattr(f"{module}.read_guarded", here)
-    for module in ("classify", "preview", "evaluate"):
-        command = f"cli.commands.{module}.read_config"
-        read = __import__(f"cli.commands.{module}", fromlist=["read_config"]).read_config
-        monkeypatch.setattr(command, functools.partial(_in_process, read))
-
-
-def _in_process(read: Any, *arguments: Any) -> Any:
-    return read(*arguments).updated(in_process=True)
+pytestmark = pytest.mark.usefixtures("in_this_process")
 
 
 def look(things: list[Any], steps: list[Any]) -> None:

@@ -138,6 +138,7 @@ def test_evaluate_and_check(cloud: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert content(tmp_path).items() >= before.items()
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_what_commands_name_themselves_replaces_no_other_file(
     cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
