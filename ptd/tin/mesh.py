@@ -51,6 +51,7 @@ class Tin:
         self.vertex_array = vertices_array(max_vertices)
         self.triangle_array = triangles_array(max_vertices)
         self.counters = counters_array()
+        self._box = (0, 0, 0, 0)  # west, east, south, north of the points it was built of, if there were any
 
     @classmethod
     def build(
@@ -76,7 +77,7 @@ class Tin:
         px, py, pz = _points(x, y, z)
         tin = cls(max(px.size, max_vertices))
         if px.size:
-            _refuse_wide(px, py)
+            tin._box = _refuse_wide(px, py)
             bulk.build(tin.vertex_array, tin.triangle_array, tin.counters, px, py, pz, stamp)
         return tin
 
@@ -113,19 +114,20 @@ class Tin:
         px, py, _ = _points(x, y, np.zeros(np.shape(x), np.int32))
         if self.n_triangles == 0 or px.size == 0:
             return np.full(px.size, np.nan)
-        _refuse_wide(np.append(px, self.vertices[:, 0]), np.append(py, self.vertices[:, 1]))
+        _refuse_wide(np.append(px, self._box[:2]), np.append(py, self._box[2:]))
         return interpolation.heights(self.vertex_array, self.triangle_array, px, py)
 
 
-def _refuse_wide(x: Int32Array, y: Int32Array) -> None:
-    """Raise ValueError for positions so far apart that the predicates would not be exact."""
-    for name, values in (("x", x), ("y", y)):
-        low, high = int(values.min()), int(values.max())
+def _refuse_wide(x: Int32Array, y: Int32Array) -> tuple[int, int, int, int]:
+    """Least and greatest x and y; raises ValueError where these are so far apart that predicates would not be exact."""
+    west, east, south, north = int(x.min()), int(x.max()), int(y.min()), int(y.max())
+    for name, low, high in (("x", west, east), ("y", south, north)):
         if high - low >= MAX_EXTENT:
             raise ValueError(
                 f"{name} extends from {low} to {high}, {high - low} counts; the TIN holds less than"
                 f" {MAX_EXTENT}: use a smaller window or coarser counts"
             )
+    return west, east, south, north
 
 
 def _points(

@@ -44,11 +44,6 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     fixed reach is core and halo as they are; that of any other is widened to the method's lattice, and knows where the
     data end.
 
-    Parameters
-    ----------
-    store_url : str
-    work : FilterTile
-
     Returns
     -------
     dict

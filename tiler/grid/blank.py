@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
-from tiler.grid.work import BlankBlocks
+from tiler.core.raster import Block
 from tiler.store import open_store
+
+
+@dataclass(frozen=True)
+class BlankBlocks:
+    """Blocks of a raster that are to hold nothing any more."""
+
+    name: str
+    blocks: tuple[Block, ...]
 
 
 def blank_blocks(store_url: str, work: BlankBlocks) -> dict[str, Any]:
     """Remove what is stored of some blocks, which then are the raster's fill; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : BlankBlocks
 
     Returns
     -------

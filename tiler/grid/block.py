@@ -8,10 +8,9 @@ that closer data beyond the window could change is marked. A block with marks is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, replace
 from fractions import Fraction
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,12 +21,11 @@ from ptd.tin import Pixels, Raster, Tin, Window, rasterise
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.edits import OF_PIXELS
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.points import PointBlock
+from tiler.core.lattice import Bounds
 from tiler.core.raster import NODATA, Block, RasterSpec, hull_of
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
-from tiler.grid.ground import Ground, central_points, ranked_points, read_ground
+from tiler.grid.thinning import most_of_bucket, surface_ground
 from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
 
@@ -49,11 +47,6 @@ def full_halo(max_edge: Fraction) -> int:
 
 def grid_block(store_url: str, work: GridBlock) -> dict[str, Any]:
     """Write one block of a raster; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : GridBlock
 
     Returns
     -------
@@ -185,11 +178,6 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
     return sum(most_of_bucket(info.n, store.meta.bucket, work.thin) for info in held) > work.max_points
 
 
-def most_of_bucket(points: int, buckets: Lattice, thin: Lattice | None) -> int:
-    """Of the points of a bucket those that may make the surface, at most: one in each cell of ``thin``."""
-    return points if thin is None else min(points, math.ceil(buckets.size / thin.size + 1) ** 2)
-
-
 def _in_quarters(store: TileStore, work: GridBlock, tries: int) -> tuple[Heights, dict[str, Any]]:
     """A block, quarter by quarter."""
     row, col, height, width = astuple(work.block)
@@ -216,47 +204,12 @@ def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str,
 
 def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Raster, dict[str, int]]:
     """Heights and marks of a block from what a window holds, and the ground points of that."""
-    ground, xyz = _ground(store, work, window)
+    ground, xyz = surface_ground(store, work, window)
     if work.breaklines is not None:
         lines = store.breaklines(work.breaklines)
         xyz = lines.applied(xyz, window, work.data, store.meta.frame.origin)
     counts = {"ground_read": ground.read, "ground_used": xyz.shape[1], "ground_marked": ground.marked}
     return rasterise_window(store, work, window, xyz), counts
-
-
-def _ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Ground, npt.NDArray[np.int32]]:
-    """Ground points read, and the coordinates of those in the window that make the TIN."""
-    if work.thin is None:
-        ground = read_ground(store, work.rule, window)
-        return ground, ground.xyz
-    # Cells that the window cuts are read whole, so that the choice in them is everybody's choice.
-    origin = store.meta.frame.origin
-    choose = _choice(work.thin, work.percent, origin)
-    by_bucket = partial(_whole_cells, choose, work.thin, store.meta.bucket, origin)
-    ground = read_ground(store, work.rule, work.thin.around(window), by_bucket)
-    xyz = ground.xyz[:, choose(ground.xyz)]
-    return ground, xyz[:, PointBlock(xyz).inside(window, origin)]
-
-
-def _choice(cell: Lattice, percent: int | None, origin: tuple[int, int]) -> Callable[[Counts], Index]:
-    """Which point of each cell makes the surface."""
-    if percent is None:
-        return partial(central_points, origin=origin, lattice=cell)
-    return partial(ranked_points, origin=origin, lattice=cell, percent=percent)
-
-
-def _whole_cells(
-    choose: Callable[[Counts], Index],
-    thin: Lattice,
-    buckets: Lattice,
-    origin: tuple[int, int],
-    cell: Cell,
-    xyz: Counts,
-) -> Index:
-    """The points of a bucket that may make the surface: one of each cell that it holds whole, all of the others."""
-    whole = PointBlock(xyz).inside(thin.within(buckets.bounds(cell)), origin)
-    inner = np.flatnonzero(whole)
-    return np.append(inner[choose(xyz[:, inner])], np.flatnonzero(~whole))
 
 
 def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
@@ -16,7 +17,7 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.deck import Deck, find_deck
 from tiler.grid.deck_cells import DIRECTIONS, REACH_M, Cells, deck_cells
 from tiler.grid.ground import GroundRule, read_classes, surface_points
-from tiler.grid.work import ExamineDecks, FindDeckCells
+from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store
 
 Bools = npt.NDArray[np.bool_]
@@ -35,13 +36,33 @@ MOST_DIRECTIONS = 3
 """Directions across a deck that are tried, those of the most cells first."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class FindDeckCells(BlockWork):
+    """A block of coarse cells of which some may be decks of bridges; ``rule`` as without corrections."""
+
+    rule: GroundRule
+
+
+@dataclass(frozen=True)
+class ExamineDecks:
+    """Places of which each may be the deck of a bridge.
+
+    Attributes
+    ----------
+    rule : GroundRule
+    spec : RasterSpec
+        Of the cells.
+    places : tuple of tuples of (row, column, direction)
+        The cells of each, see `tiler.grid.deck_cells.deck_cells`.
+    """
+
+    rule: GroundRule
+    spec: RasterSpec
+    places: tuple[tuple[tuple[int, int, int], ...], ...]
+
+
 def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     """Find the cells of a block that may be decks; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : FindDeckCells
 
     Returns
     -------
@@ -73,11 +94,6 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
 
 def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
     """Look whether places are decks of bridges; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : ExamineDecks
 
     Returns
     -------

@@ -17,21 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.grid.deck_cells import DROP_M, WIDEST_M
+from tiler.grid.deck_sides import BESIDE_M, TOLERANCE_M, Bools, Floats, Sides, sides_of
 
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.intp]
 Surface = tuple[float, float, float, float]
 """Height = a + b s + c s^2 + d t: s along a deck, t across it."""
 
-TOLERANCE_M = 0.3
-"""From the surface of a deck within which a point is of it."""
-BESIDE_M = 4.0
-"""Beside an edge within which the ground has to be lower."""
-FARTHER_M = 40.0
-"""Where nothing returns beside an edge, as from water: how far the next point may be."""
-BETWEEN = 0.34
-"""Of the points below deck level beside an edge, the share that lies at heights between at most."""
 END_M = 12.0
 """Beyond the free part, within which the ground beside comes up and the road goes on."""
 SHORTEST_M, NARROWEST_M, LONGEST_M, SLIMNESS, FEWEST_SLICES = 5.0, 2.0, 300.0, 1.0, 4
@@ -77,20 +68,6 @@ class Deck:
 
 
 @dataclass(frozen=True)
-class _Sides:
-    """Of each slice along a deck and side, (slices, 2): edge, whether it stands free, height of what is beside it."""
-
-    edge: Floats
-    free: Bools
-    level: Floats
-
-    def both_free(self) -> Bools:
-        """Slices that stand free on both sides."""
-        found: Bools = self.free[:, 0] & self.free[:, 1]
-        return found
-
-
-@dataclass(frozen=True)
 class _View:
     """Points seen along a deck: s along it and t across it, height above its surface, and the slices of it.
 
@@ -102,7 +79,7 @@ class _View:
         Where each slice begins along s.
     width : float
         Of a slice.
-    sides : _Sides
+    sides : Sides
     """
 
     s: Floats
@@ -111,7 +88,7 @@ class _View:
     surface: Surface
     starts: Floats
     width: float
-    sides: _Sides
+    sides: Sides
 
 
 def find_deck(
@@ -167,7 +144,7 @@ def _seen(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: flo
     off, width = xyz[:, 2] - _height(surface, s, t), max(LEAST_SLICE_M, 2.5 * spacing)
     first, last = s[seeds].min() - 2 * END_M, s[seeds].max() + 2 * END_M
     numbers = np.arange(np.floor(first / width), np.ceil(last / width))
-    return _View(s, t, off, surface, numbers * width, width, _sides(s, t, off, numbers, width, spacing))
+    return _View(s, t, off, surface, numbers * width, width, sides_of(s, t, off, numbers, width, spacing))
 
 
 def _slope(view: _View, free: Ints) -> float:
@@ -252,53 +229,6 @@ def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
         every = np.flatnonzero(seeds)
         rows = every[np.abs(z[every] - _height(found, s[every], t[every])) < limit]
     return found if len(rows) > 0.4 * seeds.sum() else None
-
-
-def _sides(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spacing: float) -> _Sides:
-    n = len(bins)
-    edge, free, level = np.full((n, 2), np.nan), np.zeros((n, 2), np.bool_), np.full((n, 2), np.nan)
-    number = np.floor(s / width) - bins[0]
-    order = np.argsort(number, kind="stable")
-    starts = np.searchsorted(number[order], np.arange(n + 1))
-    for i in range(n):
-        rows = order[starts[i] : starts[i + 1]]
-        deck = np.sort(t[rows][np.abs(off[rows]) < TOLERANCE_M])
-        cluster = _around_zero(deck, max(1.5, 4 * spacing))
-        if cluster is None:
-            continue
-        edge[i] = cluster
-        for k, sign in enumerate((-1, 1)):
-            away = sign * (t[rows] - edge[i, k])
-            free[i, k], level[i, k] = _beside(away, off[rows])
-    return _Sides(edge, free, level)
-
-
-def _around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
-    """First and last of the values without a gap between them that lie around 0."""
-    if len(t) < 2:
-        return None
-    groups = np.split(t, np.flatnonzero(np.diff(t) > gap) + 1)
-    best = min(groups, key=lambda g: max(g[0], -g[-1], 0.0))
-    return None if max(best[0], -best[-1]) > gap or len(best) < 2 else (float(best[0]), float(best[-1]))
-
-
-def _beside(away: Floats, off: Floats) -> tuple[bool, float]:
-    """Whether the ground beside an edge is lower without points between, and how low it is."""
-    near = (away > 0.2) & (away < BESIDE_M) & (off < TOLERANCE_M)
-    lower = off[near & (off < -DROP_M)]
-    if not len(lower):
-        if near.sum() > 2:
-            return False, float(np.median(off[near]))
-        beyond = np.flatnonzero((away >= BESIDE_M) & (away < FARTHER_M) & (off < 4.0))
-        if not len(beyond):
-            return False, float("nan")
-        nearest = beyond[np.argsort(away[beyond], kind="stable")[:3]]
-        level = float(np.median(off[nearest]))
-        return level < -DROP_M, level
-    level = float(np.median(lower))
-    low = near & (off < 0.6 * level)
-    between = near & ~low
-    return bool(between.sum() <= BETWEEN * near.sum()), level
 
 
 def _longest(free: Bools) -> Ints | None:

@@ -17,11 +17,6 @@ from tiler.store import TileStore, open_store
 def density_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     """Write one block of the density of ground points; a `tiler.schedule.task.Work`.
 
-    Parameters
-    ----------
-    store_url : str
-    work : PointsBlock
-
     Returns
     -------
     dict

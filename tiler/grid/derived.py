@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,19 +12,30 @@ import numpy.typing as npt
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.shape import gradients, multidirectional_hillshade, slope_deg
-from tiler.grid.work import DeriveBlock
+from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store
 
 Float64 = npt.NDArray[np.float64]
 
 
+@dataclass(frozen=True, kw_only=True)
+class DeriveBlock(BlockWork):
+    """A block of a raster that follows from others.
+
+    Attributes
+    ----------
+    sources : tuple of str
+        The terrain's raster; for ``ndsm`` the surface's and the terrain's.
+    fill : float
+        Where it has no value.
+    """
+
+    sources: tuple[str, ...]
+    fill: float
+
+
 def derive_block(store_url: str, work: DeriveBlock) -> dict[str, Any]:
     """Write one block of a raster that follows from others; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : DeriveBlock
 
     Returns
     -------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -14,22 +15,24 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import pixels_of
 from tiler.grid.checksum import checksum
 from tiler.grid.ground import GroundRule, read_ground
-from tiler.grid.work import DistanceBlock
+from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
 FIRST_SHARE = 4
 """The first look at a block reaches this part of the cap; few blocks need more."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class DistanceBlock(PointsBlock):
+    """``cap``: counts; what lies farther from all ground points has this distance."""
+
+    cap: Fraction
+
+
 def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
     """Write one block of the distance to the nearest ground point in plan; a `tiler.schedule.task.Work`.
 
     In metres, from the pixel's centre (rounded down to a whole count); where it is farther than ``cap``, the cap.
-
-    Parameters
-    ----------
-    store_url : str
-    work : DistanceBlock
 
     Returns
     -------

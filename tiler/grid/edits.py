@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,19 +11,24 @@ import numpy.typing as npt
 
 from tiler.core.classes import GROUND
 from tiler.core.edits import TO_GROUND, Classes, Edit, Edits, can_be_ground, ground_with
+from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import PointBlock
-from tiler.grid.ground import read_classes
-from tiler.grid.work import SurveyEdit
+from tiler.grid.ground import GroundRule, read_classes
 from tiler.store import open_store
+
+
+@dataclass(frozen=True)
+class SurveyEdit:
+    """A correction whose points are counted: ``cell`` as of `tiler.core.edits.Edits`, ``cells`` that it touches."""
+
+    rule: GroundRule
+    edit: Edit
+    cell: Lattice
+    cells: tuple[Cell, ...]
 
 
 def survey_edit(store_url: str, work: SurveyEdit) -> dict[str, Any]:
     """Count the points of one correction, as if there were no other; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : SurveyEdit
 
     Returns
     -------

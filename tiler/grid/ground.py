@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ptd.gridding.wall_feet import beside_objects
 from tiler.core.classes import GROUND, MARK_BIT, NOISE, WITHHELD_FLAG
 from tiler.core.edits import OF_POINTS, ground_with
-from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
 from tiler.schedule import NOT_IN_DIGEST
@@ -187,57 +187,3 @@ def _there(column: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell) -
             f"{store.url}: bucket {cell.name} lacks its classes or flags; start anew with --overwrite"
         )
     return column
-
-
-def central_points(
-    xyz: npt.NDArray[np.int32], origin: tuple[int, int], lattice: Lattice
-) -> npt.NDArray[np.intp]:
-    """Indices of the point nearest to the centre of each cell; of equal ones the first by (x, y, z).
-
-    The nearest to the centre, not the lowest: the surface stays where it is on the mean.
-
-    Parameters
-    ----------
-    xyz : int32, shape (3, n)
-        Local counts; whole cells only, as the choice needs all points of a cell.
-    origin : tuple of int
-        Absolute counts of the local 0.
-    lattice : Lattice
-        Cells of at most 2**20 counts with a denominator of at most 2**9, so that squares fit int64.
-    """
-    x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
-    ix, iy = lattice.index(x), lattice.index(y)
-    # Twice the offset from the centre, in 1 / q counts: an integer.
-    dx = 2 * lattice.q * x - (2 * ix + 1) * lattice.p
-    dy = 2 * lattice.q * y - (2 * iy + 1) * lattice.p
-    order = np.lexsort((xyz[2], y, x, dx * dx + dy * dy, ix, iy))
-    ix, iy = ix[order], iy[order]
-    first = np.ones(len(order), np.bool_)
-    first[1:] = (ix[1:] != ix[:-1]) | (iy[1:] != iy[:-1])
-    return order[first]
-
-
-def ranked_points(
-    xyz: npt.NDArray[np.int32], origin: tuple[int, int], lattice: Lattice, percent: int
-) -> npt.NDArray[np.intp]:
-    """Indices of the point at a percentile of the heights of each cell: 50 is the (lower) median, 0 the lowest.
-
-    A measured point, not a mean: on a slope it lies on the surface wherever in its cell it is. Ties go by (z, x, y).
-
-    Parameters
-    ----------
-    xyz, origin, lattice
-        As those of `central_points`, cells of any size.
-    percent : int
-        Of n sorted points the one with index ``(n - 1) * percent // 100`` is taken.
-    """
-    x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
-    ix, iy = lattice.index(x), lattice.index(y)
-    order = np.lexsort((y, x, xyz[2], ix, iy))
-    ix, iy = ix[order], iy[order]
-    first = np.ones(len(order), np.bool_)
-    first[1:] = (ix[1:] != ix[:-1]) | (iy[1:] != iy[:-1])
-    starts = np.flatnonzero(first)
-    counts = np.diff(np.append(starts, len(order)))
-    chosen: npt.NDArray[np.intp] = order[starts + (counts - 1) * percent // 100]
-    return chosen

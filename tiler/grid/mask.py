@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
@@ -14,8 +15,37 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts
 from tiler.grid.survey import coarse_values
-from tiler.grid.work import MaskBlock
+from tiler.grid.work import PointsBlock
+from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import open_store
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskBlock(PointsBlock):
+    """A block of the mask.
+
+    Attributes
+    ----------
+    dtm, filled : str
+        Rasters of heights within the limit, and of those that people get, with holes filled and cut by the outline.
+    survey : str
+    coarse : RasterSpec
+        Of the cells of the survey.
+    holes : tuple of Bounds
+        Of tiles that failed.
+    area : str or None
+        Key in the store of the area, outside of which all is outside.
+    waters : str or None
+        Key in the store of bodies of water; those that touch a block are in its digest.
+    """
+
+    dtm: str
+    filled: str
+    survey: str
+    coarse: RasterSpec
+    holes: tuple[Bounds, ...] = ()
+    area: str | None = None
+    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
 
 def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
@@ -24,11 +54,6 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     A pixel with a height is measured if a ground point lies in it, else interpolated; one without is a hole inside
     of the survey (see `tiler.grid.survey`), else outside. A hole that was filled is called so, and so is water.
     Where a tile failed there is a hole, whatever heights its surroundings lend it.
-
-    Parameters
-    ----------
-    store_url : str
-    work : MaskBlock
 
     Returns
     -------

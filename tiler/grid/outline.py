@@ -2,17 +2,45 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from tiler.core.products import BEYOND
-from tiler.core.raster import NODATA
+from tiler.core.raster import NODATA, RasterSpec
 from tiler.grid.block import edit_heights
 from tiler.grid.checksum import checksum
 from tiler.grid.survey import coarse_values
-from tiler.grid.work import OutlineBlock
+from tiler.grid.work import BlockWork
+from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import open_store
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutlineBlock(BlockWork):
+    """A block of a model with its water level, and without the heights beyond the survey.
+
+    Attributes
+    ----------
+    heights : str
+        The model.
+    survey : str
+    coarse : RasterSpec
+        Of the cells of the survey.
+    cut : bool
+        Leave out what lies beyond the survey.
+    waters, edits : str or None
+        Keys in the store of bodies of water and of corrections, which come after them; those that touch a block are
+        in its digest.
+    """
+
+    heights: str
+    survey: str
+    coarse: RasterSpec
+    cut: bool = True
+    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
 
 def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
@@ -20,11 +48,6 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
 
     Facets span a concave border of the survey: land that was never surveyed would get a height from its rim. They also
     span rivers that leave the survey: there water stays.
-
-    Parameters
-    ----------
-    store_url : str
-    work : OutlineBlock
 
     Returns
     -------

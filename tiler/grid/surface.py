@@ -7,6 +7,7 @@ filter did not call so, or steep ground that it took for noise.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -22,7 +23,7 @@ from tiler.grid.block import full_halo, heights_in_units, rasterise_window
 from tiler.grid.checksum import checksum
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import surface_points
-from tiler.grid.work import SurfaceBlock
+from tiler.grid.work import TinBlock
 from tiler.store import TileStore, open_store
 
 Int32 = npt.NDArray[np.int32]
@@ -32,6 +33,25 @@ DEEP_M = 1.0
 """Returns that lie deeper below the terrain are counted."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class SurfaceBlock(TinBlock):
+    """A block of the surface model.
+
+    Attributes
+    ----------
+    spike : Fraction
+        Vertical counts by which a return may rise above all others within ``reach``.
+    reach : int
+        Pixels.
+    terrain : str
+        Raster of the same pixels, below which the surface never is.
+    """
+
+    spike: Fraction
+    reach: int
+    terrain: str
+
+
 def surface_block(store_url: str, work: SurfaceBlock) -> dict[str, Any]:
     """Write one block of the surface model; a `tiler.schedule.task.Work`.
 
@@ -39,11 +59,6 @@ def surface_block(store_url: str, work: SurfaceBlock) -> dict[str, Any]:
     bridges are surface. Spikes are left out as `HighestReturns.supported` says, among the pixels within ``reach``. A
     pixel with a return has its height; one without is interpolated on the TIN of the other pixels' returns
     under the same limit as the terrain. No height is below the terrain's.
-
-    Parameters
-    ----------
-    store_url : str
-    work : SurfaceBlock
 
     Returns
     -------

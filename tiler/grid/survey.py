@@ -8,6 +8,7 @@ is outside: it reaches the raster's border. Being run-wide, it carries no certif
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import surface_points
-from tiler.grid.work import MakeSurvey, PointsBlock
+from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
 Bools = npt.NDArray[np.bool_]
@@ -29,15 +30,35 @@ Runs = list[list[int]]
 """Blocks of a raster: first row of pixels, first and last column of a run of neighbours (see `block_runs`)."""
 
 
+@dataclass(frozen=True)
+class MakeSurvey:
+    """The raster of the survey, made at once.
+
+    Attributes
+    ----------
+    name : str
+    spec : RasterSpec
+        Of the coarse cells.
+    occupancy : str
+        Name of that raster.
+    gap, most_gap : float
+        Cells: a gap that belongs to every survey, and the widest that belongs to one of sparse points.
+    pixels : RasterSpec
+        Of the products.
+    """
+
+    name: str
+    spec: RasterSpec
+    occupancy: str
+    gap: float
+    most_gap: float
+    pixels: RasterSpec
+
+
 def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     """Write one block of the raster of occupied cells; a `tiler.schedule.task.Work`.
 
     A cell has the number of its points; below 0 where more than half of them are water by the input.
-
-    Parameters
-    ----------
-    store_url : str
-    work : PointsBlock
 
     Returns
     -------
@@ -63,11 +84,6 @@ def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
 
 def survey_raster(store_url: str, work: MakeSurvey) -> dict[str, Any]:
     """Write the whole raster of the survey, see `tiler.core.products.BEYOND`; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : MakeSurvey
 
     Returns
     -------

@@ -6,6 +6,7 @@ pixels with a height that touch it, whichever blocks they lie in. The triangulat
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,13 @@ import scipy
 
 from ptd.tin import Tin, rasterise
 from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.grid.block import edit_heights, heights_in_units, pixels_of
 from tiler.grid.checksum import checksum
 from tiler.grid.survey import Bools, block_runs, blocks_of, coarse_cells, coarse_values, covered
-from tiler.grid.work import FillBlock, Void, VoidRasters
+from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import TileStore, open_store
 
 Int32 = npt.NDArray[np.int32]
@@ -33,16 +35,69 @@ NEAR = 2
 AROUND = np.ones((3, 3), np.bool_)
 
 
+@dataclass(frozen=True)
+class VoidRasters:
+    """The rasters that say where a model has voids.
+
+    Attributes
+    ----------
+    heights : str
+        The model.
+    spec : RasterSpec
+        Of its pixels.
+    survey : str
+    coarse : RasterSpec
+        Of the cells of the survey.
+    numbers : str
+        The raster of the same cells with the number of the void in each.
+    """
+
+    heights: str
+    spec: RasterSpec
+    survey: str
+    coarse: RasterSpec
+    numbers: str
+
+
+@dataclass(frozen=True)
+class Void:
+    """A void of a model: its number from 1 on, and the window of coarse cells that it lies in."""
+
+    number: int
+    cells: Block
+
+
+@dataclass(frozen=True)
+class FillBlock:
+    """A block of a model with its voids filled.
+
+    Attributes
+    ----------
+    name : str
+    block : Block
+    rasters : VoidRasters
+    voids : tuple of Void
+        Those that may touch the block.
+    edits : str or None
+        Key in the store of corrections of heights; which of them touch a block is in its digest.
+    """
+
+    name: str
+    block: Block
+    rasters: VoidRasters
+    voids: tuple[Void, ...]
+    edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+
+    def place(self, buckets: Lattice) -> Bounds | None:
+        """Bounds of the block."""
+        return self.rasters.spec.block_bounds(self.block)
+
+
 def find_voids(store_url: str, work: VoidRasters) -> dict[str, Any]:
     """Number the holes of a raster of heights; a `tiler.schedule.task.Work`.
 
     Coarse cells that hold a pixel without a height inside of the survey; those that touch belong to one hole. Writes
     the raster ``numbers`` of the cells: number of the hole, 0 for none.
-
-    Parameters
-    ----------
-    store_url : str
-    work : VoidRasters
 
     Returns
     -------
@@ -80,11 +135,6 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
 
     Linear on the TIN of the centres of all pixels around a hole, their heights rounded to counts. What no facet covers,
     where a hole is open to one side, stays without.
-
-    Parameters
-    ----------
-    store_url : str
-    work : FillBlock
 
     Returns
     -------

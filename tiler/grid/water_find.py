@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,10 @@ import scipy
 
 from tiler.core.area import Area
 from tiler.core.products import BEYOND
-from tiler.core.raster import BLOCK_PIXELS, NODATA, Block
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
 from tiler.grid.survey import Bools, coarse_cells, survey_of
 from tiler.grid.water_cells import Cells, dense_enough, find_water, under_bridges, without_narrows
-from tiler.grid.work import FindWater
 from tiler.store import TileStore, open_store
 
 ROUND = 0.25
@@ -26,13 +26,43 @@ SIMPLER = 0.75
 """Cells that a polygon may differ from the cells, so that its shore is no staircase."""
 
 
+@dataclass(frozen=True)
+class FindWater:
+    """The water of a run, found at once.
+
+    Attributes
+    ----------
+    heights : str
+        The terrain.
+    spec : RasterSpec
+        Of its pixels.
+    blocks : tuple of str
+        Names of its blocks.
+    occupancy : str
+    coarse : RasterSpec
+        Of the coarse cells.
+    gap : float
+        Cells: a gap between points up to this width may be water.
+    trusted : bool
+        Few returns tell of water; False: only the input's class does.
+    lake_m2, river_width_m, island_m2 : float
+        The smallest that are wanted.
+    """
+
+    heights: str
+    spec: RasterSpec
+    blocks: tuple[str, ...]
+    occupancy: str
+    coarse: RasterSpec
+    gap: float
+    trusted: bool
+    lake_m2: float
+    river_width_m: float
+    island_m2: float
+
+
 def find_bodies(store_url: str, work: FindWater) -> dict[str, Any]:
     """Find bodies of water in the whole run; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : FindWater
 
     Returns
     -------

@@ -8,17 +8,19 @@ regression in whichever direction fits better.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
+from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water, lengths_along
 from tiler.grid.course import course_of, mean_width, polygon_of
-from tiler.grid.work import LevelWater
 from tiler.store import TileStore, open_store
 
 Floats = npt.NDArray[np.float64]
@@ -35,13 +37,32 @@ MOST_WITHIN = 50_000
 """Pixels of the water itself that are looked at, about."""
 
 
+@dataclass(frozen=True)
+class LevelWater:
+    """A body of water whose height is to be found.
+
+    Attributes
+    ----------
+    body : Water
+    others : tuple of Area
+        Water beside it, which is no shore.
+    heights : str
+        The terrain.
+    spec : RasterSpec
+    """
+
+    body: Water
+    others: tuple[Area, ...]
+    heights: str
+    spec: RasterSpec
+
+    def place(self, buckets: Lattice) -> Bounds | None:
+        """Bounds of the water."""
+        return self.body.area.bounds
+
+
 def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
     """Find the level of a body of water; a `tiler.schedule.task.Work`.
-
-    Parameters
-    ----------
-    store_url : str
-    work : LevelWater
 
     Returns
     -------

@@ -252,7 +252,7 @@ def test_a_choice_made_bucket_by_bucket_is_that_of_all(make_scene, monkeypatch, 
     scene = make_scene(np.column_stack((xy, rng.integers(0, 5_000, 40_000))).astype(np.int64), bucket=20_000)
     options = {"thin": Lattice(Fraction(cell)), "percent": percent, "max_edge": 20_000, "max_points": 30_000}
     kept, (record,) = scene.grid(METRE, **options)
-    monkeypatch.setattr("tiler.grid.block._whole_cells", lambda *rest: np.arange(rest[-1].shape[1]))
+    monkeypatch.setattr("tiler.grid.thinning._whole_cells", lambda *rest: np.arange(rest[-1].shape[1]))
     every, (whole,) = scene.grid(METRE, **options)
     assert kept.tobytes() == every.tobytes()
     assert record == whole
