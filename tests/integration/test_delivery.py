@@ -14,7 +14,7 @@ import rasterio.shutil
 
 from tests.invariants import clouds
 from tests.invariants.runs import do
-from tiler.core.products import MASK_VALUES
+from tiler.core.mask_values import MASK_VALUES
 from tiler.errors import ConfigError
 
 

@@ -15,7 +15,7 @@ from pyproj import Transformer
 from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings
 from tests.scenes.drawings import EAST, NORTH, digests, draw, ground, pixels, written
-from tiler.core.products import WATER
+from tiler.core.mask_values import WATER
 from tiler.errors import InputError
 from tiler.plan import make_plan
 

@@ -5,19 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MASK_VALUES, MEASURED, OUTSIDE, WATER
 from tiler.core.nodata import NODATA as NODATA
-
-OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE, WATER = range(6)
-"""Values of the mask."""
-
-MASK_VALUES = {
-    OUTSIDE: "outside the survey",
-    MEASURED: "measured: a ground point lies in the pixel",
-    INTERPOLATED: "interpolated within the limit",
-    FILLED: "filled beyond the limit",
-    HOLE: "hole: no height inside the survey, or a tile that failed",
-    WATER: "water: level, or falling along its flow",
-}
 
 CONTOURS, SPOTS = "contours", "spots"
 DRAWN = (CONTOURS, SPOTS)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from tiler.core.lattice import Bounds
-from tiler.core.products import FILLED, HOLE, INTERPOLATED, MASK_VALUES, MEASURED, OUTSIDE, SURVEYED, WATER
+from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MASK_VALUES, MEASURED, OUTSIDE, WATER
+from tiler.core.products import SURVEYED
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts

@@ -30,10 +30,10 @@ LEGEND = ".aux.xml"
 """What follows the name of a raster of classes in that of the file with their names, where GDAL looks for it."""
 
 CLASSIFIED = "classified"
+"""Folder of the classified clouds."""
 COPC_SUFFIX = ".copc.laz"
 CLOUD_SUFFIXES = {"laz": ".laz", "las": ".las", "copc": COPC_SUFFIX, "none": ".laz"}
 """How names of classified clouds end, by what `--classified` says."""
-"""Folder of the classified clouds."""
 VIRTUAL = "classified.vpc"
 """These clouds as one, for QGIS."""
 STAC, SHEET_ITEMS = "stac.json", "stac"
@@ -45,6 +45,16 @@ ASIDE = "outdated"
 
 _KEYS = frozenset(("state", "version", "configuration", "plan", "stages"))
 """What every version of tiler writes into ``run.json``."""
+
+
+def raster_file(product: str, sheet: str | None = None) -> str:
+    """Path in OUT of the raster of a product, ``dtm.tif``; of one of its sheets ``dtm/<sheet>.tif``."""
+    return f"{product}.tif" if sheet is None else f"{product}/{sheet}.tif"
+
+
+def mosaic_file(product: str) -> str:
+    """Path in OUT of what shows the sheets of a product as one raster: ``dtm.vrt``."""
+    return f"{product}.vrt"
 
 
 def folder_here(products: str) -> Path:

@@ -34,6 +34,8 @@ from tiler.io.result_folder import (
     WATER,
     folder_here,
     foreign_files,
+    mosaic_file,
+    raster_file,
 )
 from tiler.plan.disk import free_bytes, needed_bytes
 from tiler.plan.machine import memory_bytes
@@ -113,10 +115,12 @@ def refuse_places(config: RunConfig, products: str, paths: Sequence[Path]) -> No
 def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError where a run would write over what it reads, or over files that no run of its OUT made."""
     exported, sheets, out = plan.config.exported, plan.config.sheets is not None, folder_here(products)
-    wanted = [f"{name}.{'vrt' if sheets else 'tif'}" for name in exported]
+    wanted = [mosaic_file(name) if sheets else raster_file(name) for name in exported]
     wanted += [f"{name}.gpkg" for name in plan.config.drawn]
     wanted += [BRIDGES] if plan.config.bridges == "remove" else []
-    wanted += [SHEETS] if sheets else [f"{name}.tif{LEGEND}" for name in exported if PRODUCTS[name].values]
+    wanted += (
+        [SHEETS] if sheets else [f"{raster_file(name)}{LEGEND}" for name in exported if PRODUCTS[name].values]
+    )
     if plan.config.outline == "survey":
         wanted.append(OUTLINE)
     if plan.config.water != "none":

@@ -18,7 +18,8 @@ import rasterio
 from fsspec.core import url_to_fs
 from rasterio.enums import Resampling
 
-from tiler.core.products import MASK_VALUES, OUTSIDE, PRODUCTS
+from tiler.core.mask_values import MASK_VALUES, OUTSIDE
+from tiler.core.products import PRODUCTS
 from tiler.export.picture import palette_png_bytes
 from tiler.grid.shape import multidirectional_hillshade
 from tiler.io.locations import is_url

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from tiler.core.products import HOLE, MASK_VALUES, OUTSIDE
+from tiler.core.mask_values import HOLE, MASK_VALUES, OUTSIDE
 from tiler.observe.progress import count_text, duration_text, size_text
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.pictures import Pictures

@@ -32,6 +32,8 @@ from tiler.io.result_folder import (
     STAC,
     VIRTUAL,
     WATER,
+    mosaic_file,
+    raster_file,
 )
 from tiler.schedule import Task, digest_of
 from tiler.stages.file_tasks import Sheet, name_of, nodata_of, sheets
@@ -169,7 +171,7 @@ class _Catalogue:
 
     def _whole(self) -> dict[str, Any]:
         """The item of a run that is not cut into sheets."""
-        rasters = {name: f"{name}.tif" for name in self._plan.config.exported}
+        rasters = {name: raster_file(name) for name in self._plan.config.exported}
         assets = {**self._rasters(rasters, "."), **self._besides()}
         item = self._item(self._id, self._gridding.spec, assets, [])
         if self.clouds:
@@ -183,7 +185,7 @@ class _Catalogue:
 
     def _sheet(self, sheet: Sheet) -> dict[str, Any]:
         exported = self._plan.config.exported
-        rasters = {name: f"{name}/{name_of(self._gridding, name, sheet)}.tif" for name in exported}
+        rasters = {name: raster_file(name, name_of(self._gridding, name, sheet)) for name in exported}
         place = "_".join(f"{edge:.10g}" for edge in sheet.corner)
         rels = ("root", "parent", "collection")
         links = [{"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in rels]
@@ -198,9 +200,9 @@ class _Catalogue:
         when = self._dates()
         interval = [when.get(f"{end}_datetime") or when["datetime"] for end in ("start", "end")]
         mosaics = {
-            name: _asset(f"{name}.vrt", _VRT, title=PRODUCTS[name].description)
+            name: _asset(mosaic_file(name), _VRT, title=PRODUCTS[name].description)
             for name in self._plan.config.exported
-            if f"{name}.vrt" in self._written
+            if mosaic_file(name) in self._written
         }
         return {
             "type": "Collection", "stac_version": "1.1.0", "stac_extensions": [], "id": self._id,

@@ -31,7 +31,7 @@ from tiler.export.work import SheetFile
 from tiler.filter import LABELS
 from tiler.ingest import SourceInfo, claimed_bounds, window_pieces
 from tiler.io.locations import is_url, joined, location
-from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS
+from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS, mosaic_file, raster_file
 from tiler.plan import PIECE_POINTS, Plan, chunks_of
 from tiler.schedule import Task, digest_of
 from tiler.stages.gridding import Gridding
@@ -135,16 +135,16 @@ def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
             out=out,
             tags=_tags(g.plan, name, whole_inputs),
             nodata=nodata_of(g.plan, name),
-            sheets=tuple((f"{name}/{file}.tif", spec) for file, spec in files),
+            sheets=tuple((raster_file(name, file), spec) for file, spec in files),
         )
-        yield Task("mosaic", f"{name}.vrt", digest_of(work), write_mosaic, work)
+        yield Task("mosaic", mosaic_file(name), digest_of(work), write_mosaic, work)
 
 
 def legend_tasks(g: Gridding, out: str) -> Iterator[Task]:
     """One for each raster of classes that is one file; over sheets the VRT has the names of the classes."""
     for name in g.plan.config.exported if g.plan.config.sheets is None else ():
         if PRODUCTS[name].values:
-            work = WriteLegend(product=name, name=f"{name}.tif{LEGEND}", out=out)
+            work = WriteLegend(product=name, name=f"{raster_file(name)}{LEGEND}", out=out)
             yield Task("export", work.name, digest_of(__version__, work), write_legend, work)
 
 
@@ -157,7 +157,7 @@ def index_tasks(tasks: Iterable[Task], written: Commits, out: str) -> Iterator[T
     for work in works:
         record = written.get(f"{work.name}.tif", ("", None))[1]
         if record is not None:
-            path = f"{work.product}/{work.name}.tif"
+            path = raster_file(work.product, work.name)
             void = 100 * (1 - record["valid"] / record["pixels"])
             found.append(SheetFile(work.product, path, work.spec, void, record["min"], record["max"]))
     if found:

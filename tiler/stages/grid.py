@@ -13,7 +13,7 @@ import numpy as np
 from tiler.config import NO_WATER
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
-from tiler.core.products import MASK_VALUES, OUTSIDE
+from tiler.core.mask_values import MASK_VALUES, OUTSIDE
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.errors import DamagedError, ProcessingError
 from tiler.grid import DEEP_M, BlankBlocks, blank_blocks

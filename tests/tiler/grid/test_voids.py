@@ -11,7 +11,7 @@ import pytest
 from tests.scenes.ground_points import plane_points
 from tests.tiler.grid.conftest import FINAL, Scene
 from tiler.core.lattice import Lattice
-from tiler.core.products import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
+from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid import (
     FillBlock,

@@ -1,0 +1,14 @@
+"""Values of the mask: where the height of a pixel comes from."""
+
+from __future__ import annotations
+
+OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE, WATER = range(6)
+
+MASK_VALUES = {
+    OUTSIDE: "outside the survey",
+    MEASURED: "measured: a ground point lies in the pixel",
+    INTERPOLATED: "interpolated within the limit",
+    FILLED: "filled beyond the limit",
+    HOLE: "hole: no height inside the survey, or a tile that failed",
+    WATER: "water: level, or falling along its flow",
+}
