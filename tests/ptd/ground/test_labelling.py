@@ -81,18 +81,6 @@ def test_on_an_edge_the_triangle_behind_it_counts() -> None:
         assert marked[0] == (t == home or t in beside)
 
 
-def test_pieces_and_order_change_nothing() -> None:
-    rng = np.random.default_rng(6)
-    points = rng.integers(-20_000, 120_000, (2000, 3))
-    points[:, 2] = rng.integers(-900, 900, 2000)
-    tin = flat()
-    whole, _ = label(tin, points.tolist())
-    order = rng.permutation(2000)
-    pieces = [label(tin, points[part].tolist())[0] for part in np.array_split(order, 7)]
-    assert np.array_equal(np.array(whole)[order], np.concatenate(pieces))
-    assert 1 < len(set(whole)) < 3
-
-
 def test_no_points_no_labels() -> None:
     assert label(flat(), []) == ([], [])
 

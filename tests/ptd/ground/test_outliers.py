@@ -104,15 +104,6 @@ def test_a_group_of_zero_finds_nothing() -> None:
     assert find(np.zeros((0, 3))).size == 0
 
 
-def test_the_order_of_the_points_changes_nothing() -> None:
-    rng = np.random.default_rng(4)
-    points = field()
-    points[rng.integers(0, 961, 12), 2] = -7000
-    order = rng.permutation(961)
-    assert np.array_equal(find(points[order]), find(points)[order])
-    assert find(points).any()
-
-
 @pytest.mark.parametrize(
     ("radius_m", "group", "cell_m", "cells"),
     [(5.0, 5, 1.0, 5), (5.0, 0, 1.0, 0), (3.3, 1, 1.0, 4), (3.5, 5, 0.7, 5), (3.6, 5, 0.7, 6)],

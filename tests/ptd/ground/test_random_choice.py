@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ptd.frame import Cells, Scale
@@ -26,18 +24,6 @@ def test_one_point_of_each_occupied_cell() -> None:
     picked = picked_per_cell(*points, CELLS, 0)
     assert np.array_equal(np.unique(cells_of(points[:, picked]), axis=0), np.unique(cells_of(points), axis=0))
     assert len(np.unique(cells_of(points[:, picked]), axis=0)) == picked.size
-
-
-def test_order_and_frame_change_nothing() -> None:
-    points = cloud()
-    picked = points[:, picked_per_cell(*points, CELLS, 3)]
-    order = np.random.default_rng(0).permutation(points.shape[1])
-    mixed = points[:, order]
-    assert np.array_equal(mixed[:, picked_per_cell(*mixed, CELLS, 3)], picked)
-    shift = np.array([[777], [-999], [0]], np.int32)
-    moved = replace(SCALE, origin=(SCALE.origin[0] - 777, SCALE.origin[1] + 999))
-    found = picked_per_cell(*(points + shift), Cells.of(4.0, moved), 3)
-    assert np.array_equal(points[:, found], picked)
 
 
 def test_other_salts_give_other_picks_and_all_points_have_a_chance() -> None:

@@ -78,17 +78,6 @@ def test_a_hole_is_filled_from_all_sides() -> None:
     assert ring[1, 1] == sum(10 * k for k in range(8)) // 8
 
 
-def test_the_order_of_the_points_changes_nothing() -> None:
-    rng = np.random.default_rng(9)
-    points = [tuple(int(v) for v in p) for p in rng.integers(-200_000, 200_000, (60, 3)) // 100]
-    points = [(100 * x, 100 * y, z) for x, y, z in points]
-    first, _ = choose(points)
-    order = rng.permutation(60)
-    second, _ = choose([points[k] for k in order])
-    assert {points[k] for k in first.chosen} == {points[order[k]] for k in second.chosen}
-    assert np.array_equal(first.virtual, second.virtual)
-
-
 def test_nothing_is_in_doubt_where_everything_is_known() -> None:
     _, doubt = choose([middle(0, 0), middle(5, 3)])
     assert not doubt.active

@@ -130,9 +130,7 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int) -> None:
         part = np.s_[25 - reach : 36 + reach, 20 - reach : 31 + reach]
         inner = np.s_[reach:-reach, reach:-reach]
         cut, chosen = lowest(heights[part]), ground[part].ravel()
-        if reach == shape.reach:
-            found = cut.steep_objects(chosen, SEEDS, shape)
-        else:
-            found = cut.residual_objects(chosen, np.ones(chosen.size, bool), rule)
-        found = found.reshape(heights[part].shape)
+        by_slope = cut.steep_objects(chosen, SEEDS, shape)
+        by_trend = cut.residual_objects(chosen, np.ones(chosen.size, bool), rule)
+        found = (by_slope if reach == shape.reach else by_trend).reshape(heights[part].shape)
         assert np.array_equal(found[inner], expected[25:36, 20:31])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -77,18 +78,15 @@ def test_openings_are_those_of_another_library_chained_or_not(widths: list[int])
 def field(heights: np.ndarray, keep: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A point in the middle of each cell of a metre, in millimetres; heights in metres."""
     rows, columns = np.nonzero(np.ones(heights.shape, bool) if keep is None else keep)
-    return tuple(
-        np.rint(v).astype(np.int32)
-        for v in (1000 * columns + 500, 1000 * rows + 500, 1000 * heights[rows, columns])
-    )  # type: ignore[return-value]
+    found = 1000 * columns + 500, 1000 * rows + 500, 1000 * heights[rows, columns]
+    return tuple(np.rint(v).astype(np.int32) for v in found)  # type: ignore[return-value]
 
 
 def seeds_of(heights: np.ndarray, opening: Opening, keep: np.ndarray | None = None) -> np.ndarray:
     """A map of the potential seeds."""
     x, y, z = field(heights, keep)
-    found, unsure = potential_seeds(
-        x, y, z, np.ones(x.size, bool), Cells.of(1.0, Scale()), opening, EVERYTHING
-    )
+    args = Cells.of(1.0, Scale()), opening, EVERYTHING
+    found, unsure = potential_seeds(x, y, z, np.ones(x.size, bool), *args)
     assert not unsure.any()
     seen = np.zeros(heights.shape, bool)
     seen[y // 1000, x // 1000] = found
@@ -150,14 +148,11 @@ def test_blocks_change_nothing(seed: int, block: int) -> None:
     scale = Scale(origin=(int(rng.integers(-(10**5), 10**5)), 777))
     known = Window(20_000, 10_000, 70_000, 65_000)
     args = x, y, z, eligible, Cells.of(1.0, scale), opening, known
-    before = progressive_opening.BLOCK_CELLS
-    try:
-        progressive_opening.BLOCK_CELLS = 10_000
-        whole = potential_seeds(*args)
-        progressive_opening.BLOCK_CELLS = block
-        parts = potential_seeds(*args)
-    finally:
-        progressive_opening.BLOCK_CELLS = before
+    found = []
+    for side in (10_000, block):
+        with mock.patch.object(progressive_opening, "BLOCK_CELLS", side):
+            found.append(potential_seeds(*args))
+    whole, parts = found
     assert np.array_equal(whole[0], parts[0])
     assert np.array_equal(whole[1], parts[1])
 

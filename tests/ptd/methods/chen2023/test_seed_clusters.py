@@ -146,10 +146,8 @@ def test_doubt_covers_what_a_change_in_doubtful_facets_can_do(seed: int) -> None
     facets = {frozenset(map(tuple, f)) for f in whole.vertices[real_triangles(whole)].tolist()}
     in_doubt = np.zeros(window.n_triangles, np.uint8)
     for t in range(window.n_triangles):
-        corners = corners_of(window, t)
-        in_doubt[t] = (
-            -1 in corners or frozenset(map(tuple, window.vertices[list(corners)].tolist())) not in facets
-        )
+        corners = list(corners_of(window, t))
+        in_doubt[t] = -1 in corners or frozenset(map(tuple, window.vertices[corners].tolist())) not in facets
     real = np.ones(window.n_vertices, bool)
     noise, unsure = noisy_seeds(window, real, limits, in_doubt)
     truth, _ = noisy_seeds(whole, np.ones(n, bool), limits, np.zeros(whole.n_triangles, np.uint8))

@@ -124,9 +124,3 @@ def test_a_blunder_in_the_cell_is_no_seed() -> None:
     found = seeds_of(points)
     assert found[:, 2].min() > -20
     assert not ((found[:, 0] == 6) & (abs(found[:, 1] - 10) <= 1)).any()
-
-
-def test_order_changes_nothing() -> None:
-    points = house()
-    order = np.random.default_rng(9).permutation(points.shape[1])
-    assert np.array_equal(seeds_of(points), seeds_of(np.ascontiguousarray(points[:, order])))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -71,16 +70,6 @@ def test_points_on_a_line_give_their_mean_height() -> None:
     x = np.arange(5, dtype=np.int32) * 400 + 33
     found = rim(x, np.full(5, 50, np.int32), np.full(5, 7, np.int32), CELLS)
     assert set(found[:, 2].tolist()) == {7}
-
-
-def test_order_and_frame_change_nothing() -> None:
-    points = block(5, 6)[:, np.random.default_rng(1).permutation(30)[:17]]
-    found = rim(*points, CELLS)
-    order = np.random.default_rng(2).permutation(17)
-    assert np.array_equal(rim(*np.ascontiguousarray(points[:, order]), CELLS), found)
-    moved = Cells.of(4.0, replace(SCALE, origin=(SCALE.origin[0] - 777, SCALE.origin[1] + 333)))
-    shift = np.array([[777], [-333], [0]], np.int32)
-    assert np.array_equal(rim(*(points + shift), moved), found + shift[:, 0])
 
 
 def test_no_points_no_rim() -> None:

@@ -16,7 +16,7 @@ from ptd.frame import Scale, Window
 from ptd.methods.classic import Classic
 from ptd.methods.dong2018.even_tin import BINS, EvenTin
 from ptd.methods.dong2018.method import Dong2018
-from ptd.methods.dong2018.stage_one import NoisePass, even_edge_m
+from ptd.methods.dong2018.stage_one import even_edge_m
 from ptd.methods.dong2018.stage_two import JOINED, MeasurePass
 from ptd.passes import MethodRefusal, Points
 from tests.ptd.tiling import classify_tiled
@@ -223,15 +223,6 @@ def test_thresholds_that_move_the_other_way_are_said_and_kept() -> None:
 
 def test_no_points() -> None:
     assert classify(np.zeros((0, 3)), "dong2018").classification.size == 0
-
-
-def test_statistics_do_not_depend_on_the_order_of_tiles() -> None:
-    parts = [
-        {"points": 700, "cells": 4, "full": 4, "patches": [[60, 3], [70, 1]], "quarters": []},
-        {"points": 900, "cells": 5, "full": 3, "patches": [[20, 1]], "quarters": []},
-    ]
-    run = {"run": {"rgb": False, "sigma_m": None}}
-    assert NoisePass(DEFAULTS).reduce(parts, run) == NoisePass(DEFAULTS).reduce(parts[::-1], run)
 
 
 def test_tiles_give_what_one_window_gives() -> None:

@@ -67,14 +67,14 @@ def test_a_valley_is_no_ridge() -> None:
     assert not at(Tin.build(*seeds(lambda x: abs(x - 30))), 30, 3)
 
 
-def test_the_edge_of_a_plateau_is_no_ridge() -> None:
+@pytest.mark.parametrize(
+    "height", [lambda x: 100.0 + min(x - 10, 0), lambda x: 2.0 * x], ids=["plateau", "slope"]
+)
+def test_the_edge_of_a_plateau_and_a_slope_that_goes_on_are_no_ridge(
+    height: Callable[[float], float],
+) -> None:
     """(iii): all that falls away lies on one side and hangs together."""
-    tin = Tin.build(*seeds(lambda x: 100.0 + min(x - 10, 0)))
-    assert not any(at(tin, 30, y) for y in (-20, -5, 3, 11, 18))
-
-
-def test_the_top_of_a_slope_that_goes_on_is_no_ridge() -> None:
-    tin = Tin.build(*seeds(lambda x: 2.0 * x))
+    tin = Tin.build(*seeds(height))
     assert not any(at(tin, 30, y) for y in (-20, -5, 3, 11, 18))
 
 
@@ -137,9 +137,6 @@ def test_the_pick_near_the_side_of_the_window_is_in_doubt() -> None:
     _, points, _ = place(Window.everything())
     x, y = points[2:3, 0].copy(), points[2:3, 1].copy()
     east = int(points[0, 0]) + M
-    for known, expected in (
-        (Window(-OPEN, -OPEN, OPEN - 1, OPEN), False),
-        (Window(-OPEN, -OPEN, east, OPEN), True),
-    ):
-        _, _, doubt = place(known)
+    for side, expected in ((OPEN - 1, False), (east, True)):
+        _, _, doubt = place(Window(-OPEN, -OPEN, side, OPEN))
         assert doubt.covers(x, y).tolist() == [expected]

@@ -53,9 +53,7 @@ def test_lowest_within_a_radius(
     stacks = Stacks(x, y, z, Cells.of(cell, SCALE))
     got = lowest_within(stacks.x, stacks.y, stacks.z, stacks.raster, x3, y3, radius)
     near = (3 * x.astype(np.int64) - x3) ** 2 + (3 * y.astype(np.int64) - y3) ** 2 <= 9 * radius**2
-    expected = min(
-        ((int(c), int(a), int(b)) for a, b, c in zip(x[near], y[near], z[near], strict=True)), default=None
-    )
+    expected = min(zip(*(v[near].tolist() for v in (z, x, y)), strict=True), default=None)
     found = (int(stacks.z[got]), int(stacks.x[got]), int(stacks.y[got])) if got >= 0 else None
     assert found == expected
 

@@ -32,9 +32,8 @@ def tins(
     seeds = {tuple(p) for p in points[:n_seeds].tolist()}
     own = np.array([tuple(p) in seeds for p in np.column_stack([stacks.x, stacks.y, stacks.z]).tolist()])
     doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
-    steps = densify_thinned(
-        stacks, np.flatnonzero(own).astype(np.int32), CORNERS.astype(np.int32), limits, doubt
-    )
+    chosen = np.flatnonzero(own).astype(np.int32)
+    steps = densify_thinned(stacks, chosen, CORNERS.astype(np.int32), limits, doubt)
     return [step.tin for step in islice(steps, rounds)], stacks
 
 
@@ -51,9 +50,8 @@ def naive(
     while len(found) < rounds:
         nodes = np.array([*CORNERS.tolist(), *sorted(vertices)], float)
         mesh = Delaunay(nodes[:, :2])
-        terrain = vertices | {
-            tuple(p) for p in points.tolist() if passes(nodes, mesh, np.array(p, float), limits)
-        }
+        passed = (p for p in points.tolist() if passes(nodes, mesh, np.array(p, float), limits))
+        terrain = vertices | set(map(tuple, passed))
         lowest: dict[tuple[int, int], tuple[int, ...]] = {}
         for p in sorted(terrain, key=lambda p: (p[2], p[0], p[1])):
             lowest.setdefault((int(p[0] // (cell_m * 1000)), int(p[1] // (cell_m * 1000))), p)
@@ -124,11 +122,8 @@ def test_the_tally_counts_what_labelling_gives() -> None:
         got, stacks = tins(points, 40, limits, 7, 2.0)
         assert len(got) >= 5
         x, y, z = stacks.x, stacks.y, stacks.z
-        tally, before, counts = (
-            Tally(x, y, z, limits, 200.0, np.zeros(x.size, np.bool_)),
-            np.zeros(x.size, np.uint8),
-            [],
-        )
+        tally = Tally(x, y, z, limits, 200.0, np.zeros(x.size, np.bool_))
+        before, counts = np.zeros(x.size, np.uint8), []
         for tin in got:
             clear = np.zeros(tin.n_triangles, np.uint8)
             labels, _ = label_points(tin, Locator.of(tin), Xyz(x, y, z), clear, GroundRule(limits, 200.0))
