@@ -27,7 +27,7 @@ from tiler.plan.disk import emptiness_warning, too_much_between
 from tiler.plan.distant_files import LeftOut, beyond_frame, minority
 from tiler.plan.drawings import with_drawings
 from tiler.plan.halos import own_halo, planned_passes
-from tiler.plan.memory import fine_cell_m, nested
+from tiler.plan.memory import fine_cell_m
 from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
 from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
 from tiler.plan.tiles_of_points import near_nodes, refuse_far, with_crs_of_tiles
@@ -157,21 +157,15 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     passes = planned_passes(defaults, config, kind, notes) if defaults else ()
     steps = steps_of(passes, kind)
     tile = config.tile_size or sizes.tile_m(memory, density, cell, likely_of(steps, kind, density), meta)
-    # What is not known to be a matched cloud is not warned of as one; and tiles of candidates are joined.
-    joined_tiles = config.tile_size is None and nested(cell, meta.fine.size * frame.metres_xy)
-    halos = [
-        step.halo_m for step in steps_of(passes, kind or "lidar") if not (joined_tiles and step.on_candidates)
-    ]
-    warnings = warnings_of(filled, agreement.units, tile, halos)
-    warnings += advice.before(filled, config, density, own_halo(defaults))
     plan = Plan(
         config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
         sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
         workers, cell, points, covered, extent, density_map, None,
-        output_names(found.inputs, found.sources, CLOUD_SUFFIXES[config.classified]), tuple(notes), tuple(warnings),
-        known, tile_workers=0 if config.tile_size else workers,
+        output_names(found.inputs, found.sources, CLOUD_SUFFIXES[config.classified]), tuple(notes),
+        statistics=known, tile_workers=0 if config.tile_size else workers,
     )  # fmt: skip
-    plan = part_of(plan)
+    advised = advice.before(filled, config, density, own_halo(defaults))
+    plan = part_of(replace(plan, warnings=(*warnings_of(plan), *advised)))
     text = emptiness_warning(plan)
     return plan if text is None else replace(plan, warnings=(*plan.warnings, text))
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import beginning
 from tiler.errors import ConfigError
-from tiler.ingest import SourceInfo
 from tiler.io.locations import joined
 from tiler.io.overwrite_check import Target, check_folder, check_targets
 from tiler.io.result_folder import (
@@ -39,7 +36,7 @@ from tiler.io.result_folder import (
 )
 from tiler.plan.disk import free_bytes, needed_bytes
 from tiler.plan.machine import memory_bytes
-from tiler.plan.model import Plan
+from tiler.plan.model import Plan, steps_of
 from tiler.plan.projection import filter_peak, projected_memory
 
 MAX_DENOMINATOR = 511
@@ -57,42 +54,34 @@ MUCH_OVERLAP = 3.0
 """Padded area over core area, mean of the passes, from which on it is told of."""
 
 
-def warnings_of(
-    sources: Sequence[SourceInfo], units: Any, tile: Fraction, halos: Sequence[float]
-) -> list[str]:
-    """What is probably wrong, or costs more than it need; ``halos`` are those of the passes, metres."""
-    found = []
-    z = [s.bounds for s in sources if s.bounds is not None]
-    relief = (max(b[5] for b in z) - min(b[2] for b in z)) * float(units.vertical)
+def warnings_of(plan: Plan) -> list[str]:
+    """What is probably wrong, or costs more than it need."""
+    units, found = plan.meta.frame.units, []
+    boxes = [(s.path, s.bounds) for s in plan.sources if s.points and s.bounds is not None]
+    relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
     if relief > WIDEST_RELIEF_M:
         found.append(
             f"heights span {relief:,.0f} m, more than any terrain: noise far from the ground, "
             "or z is in another unit; --units h,v"
         )
-    for source in sources:
-        assert source.bounds is not None  # the caller's choice
-        x0, y0, z0, x1, y1, z1 = source.bounds
+    for path, (x0, y0, z0, x1, y1, z1) in boxes:
         side = max(min(x1 - x0, y1 - y0), 1.0) * float(units.horizontal)
         rise = (z1 - z0) * float(units.vertical)
         if side > 50 and rise > 2 * side:
             found.append(
-                f"{source.path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
+                f"{path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
             )
-    work = [_overlap(z, float(units.horizontal), float(tile), halo) for halo in halos]
+    # What is not known to be a matched cloud is not warned of as one.
+    steps, tile = steps_of(plan.passes, plan.kind or "lidar"), float(plan.tile)
+    halos = [step.halo_m for step in steps if not plan.joins(step)]
+    work = [
+        math.prod(min(tile + 2 * halo, side) / min(tile, side) for side in plan.sides_m) for halo in halos
+    ]
     if work and sum(work) > MUCH_OVERLAP * len(work):
         found.append(
-            f"tiles of {float(tile):g} m with up to {max(halos):g} m of halo do {sum(work) / len(work):.1f} times "
+            f"tiles of {tile:g} m with up to {max(halos):g} m of halo do {sum(work) / len(work):.1f} times "
             f"the work; use --tile-size {math.ceil(WIDE_TILE * max(halos))} or more --memory"
         )
-    return found
-
-
-def _overlap(bounds: Sequence[Sequence[float]], metres: float, tile: float, halo: float) -> float:
-    """Area of a tile with its halo over that of the tile, neither wider than the inputs together."""
-    found = 1.0
-    for low, high in ((0, 3), (1, 4)):
-        side = max(max(b[high] for b in bounds) - min(b[low] for b in bounds), 1.0) * metres
-        found *= min(tile + 2 * halo, side) / min(tile, side)
     return found
 
 

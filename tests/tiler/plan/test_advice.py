@@ -12,8 +12,7 @@ import pytest
 from tests.scenes.halls import ROWS, with_hall
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
-from tiler.core.frame import CoordFrame
-from tiler.core.lattice import Lattice
+from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.ingest import SourceInfo, inspect
 from tiler.plan import make_plan
@@ -99,10 +98,11 @@ def test_the_plan_gives_the_advice(make_cloud: MakeCloud) -> None:
     ("side", "tile", "times"), [(90, 128, None), (900, 512, None), (900, 128, "6.6"), (300, 100, "9.0")]
 )
 def test_small_tiles_are_told_of_where_there_are_several(
-    side: int, tile: int, times: str | None, source: SourceInfo
+    side: int, tile: int, times: str | None, make_cloud: MakeCloud
 ) -> None:
-    wide = replace(source, bounds=(0.0, 0.0, 100.0, float(side), float(side), 110.0))
-    found = warnings_of([wide], CoordFrame().units, Fraction(tile), [100.0])
+    settings = {"method": "classic", "tile_size": tile, "halo": 100, "in_process": True}
+    plan = make_plan([str(make_cloud())], RunConfig.from_mapping(settings))
+    found = warnings_of(replace(plan, extent=Bounds(0, 0, 1000 * side, 1000 * side)))
     assert [f"do {times} times the work; use --tile-size 483 or more --memory" in text for text in found] == (
         [True] if times else []
     )
