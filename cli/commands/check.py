@@ -60,18 +60,7 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
     help="draw histogram.svg and map.svg of the checkpoints [default: none]",
 )
 @json_option
-def command(
-    dtm: str,
-    points: Path | None,
-    points_crs: str | None,
-    points_unit: str | None,
-    points_rmse: str,
-    tile_size: str | None,
-    strips: tuple[str, ...],
-    require: tuple[str, ...],
-    figures: Path | None,
-    as_json: bool,
-) -> int:
+def command(dtm: str, as_json: bool, **options: Any) -> int:
     """Vertical accuracy of a DTM, its seams, and how flight strips fit.
 
     Differences are DTM minus checkpoint, bilinear between pixel centres. By the ASPRS standards, Edition 2: accuracy
@@ -80,17 +69,7 @@ def command(
     """
     from tiler.api import check
 
-    result = check(
-        dtm,
-        points,
-        points_crs=points_crs,
-        points_unit=points_unit,
-        points_rmse=points_rmse,
-        tile_size=tile_size,
-        strips=strips,
-        require=require,
-        figures=figures,
-    )
+    result = check(dtm, **options)
     if as_json:
         print_json(result.summary)
     else:
@@ -120,10 +99,9 @@ def _print_accuracy(facts: Mapping[str, Any]) -> None:
     rows = [(name.upper(), *_figures(facts[name])) for name in ("nva", "vva", "all") if facts[name]["points"]]
     rows += [(name, *_figures(figures)) for name, figures in facts["land_cover"].items()]
     print_table(f"DTM minus checkpoint, {facts['unit']}", HEADINGS, rows)
-    if facts["outside"] or facts["no_height"]:
-        say(
-            f"without a height: {facts['outside']} outside the DTM, {facts['no_height']} where it has no data"
-        )
+    outside, none = facts["outside"], facts["no_height"]
+    if outside or none:
+        say(f"without a height: {outside} outside the DTM, {none} where it has no data")
     asprs = facts["asprs"]
     few = f"{facts['nva']['points']} NVA checkpoints, {asprs['least_points']} are needed"
     say(asprs["statement"] or f"no statement by the ASPRS standards: {few}")
@@ -150,10 +128,8 @@ def _print_seams(facts: Mapping[str, Any]) -> None:
         if name in facts
     ]
     columns = ("pixels across", "pairs", "mean step", "largest step", "mean jump", "largest jump")
-    title = (
-        f"steps between pixels, {facts['unit']}, across edges of tiles of {facts['tile']:g} (unit of x and y)"
-    )
-    print_table(title, columns, rows)
+    edges = f"across edges of tiles of {facts['tile']:g} (unit of x and y)"
+    print_table(f"steps between pixels, {facts['unit']}, {edges}", columns, rows)
 
 
 def _print_strips(facts: Mapping[str, Any]) -> None:

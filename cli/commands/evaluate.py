@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from cli.summary import dtm_lines, percent_text, score_lines
 from tiler.config.parsing import parse_classes
 from tiler.core.units import parse_length
 from tiler.errors import ConfigError
-from tiler.observe.events import Listener
 
 SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo", "memory", "workers")
 
@@ -87,22 +86,33 @@ def command(
     filters = settings["method"] is not None
     if clouds and filters == bool(references):
         raise click.UsageError("name either --reference REF, or --method NAME to filter labelled clouds")
-    from tiler.apps.evaluate import IGNORED, evaluate_dtm, find_scenes, refuse_targets
+    from tiler.apps import evaluate
     from tiler.schedule import half_of_memory, read_apart
 
-    ignored = IGNORED if ignore is None else parse_classes(ignore)
+    ignored = evaluate.IGNORED if ignore is None else parse_classes(ignore)
     if maps is not None or difference is not None:
-        scenes = find_scenes(clouds, references or clouds) if clouds else []
+        scenes = evaluate.find_scenes(clouds, references or clouds) if clouds else []
         read = [path for scene in scenes for path in (scene.cloud, scene.reference)]
         rasters = [raster for raster in (dtm, true_dtm) if raster is not None]
-        refuse_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
+        evaluate.refuse_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
     facts: dict[str, Any] = {}
-    with shown_progress() as listener:
-        if clouds:
-            facts = _score(clouds, references, settings, ignored, maps, map_cell, listener)
+    if clouds:
+        cell = parse_length(map_cell)
+        if cell <= 0:
+            raise ConfigError(f"--map-cell {map_cell}: must be above 0")
+        request = None if maps is None else evaluate.MapRequest(maps, cell)
+        with shown_progress() as listener:
+            if references:
+                pairs = evaluate.find_scenes(clouds, references)
+                facts = evaluate.evaluate_scenes(pairs, ignored, request, listener)
+            else:
+                config = read_config(settings)
+                facts = evaluate.filter_and_evaluate(clouds, config, ignored, request, listener)
     if dtm is not None and true_dtm is not None:
         both = (Path(dtm), Path(true_dtm))
-        facts["dtm"] = read_apart(evaluate_dtm, *both, difference, paths=both, memory_bytes=half_of_memory())
+        facts["dtm"] = read_apart(
+            evaluate.evaluate_dtm, *both, difference, paths=both, memory_bytes=half_of_memory()
+        )
     if as_json:
         print_json(facts)
         return
@@ -111,26 +121,6 @@ def command(
     if dtm is not None:
         for line in dtm_lines(facts["dtm"]):
             say(line)
-
-
-def _score(
-    clouds: Sequence[str],
-    references: Sequence[str],
-    settings: dict[str, Any],
-    ignored: Sequence[int],
-    maps: Path | None,
-    map_cell: str,
-    listener: Listener,
-) -> dict[str, Any]:
-    from tiler.apps.evaluate import MapRequest, evaluate_scenes, filter_and_evaluate, find_scenes
-
-    cell = parse_length(map_cell)
-    if cell <= 0:
-        raise ConfigError(f"--map-cell {map_cell}: must be above 0")
-    request = None if maps is None else MapRequest(maps, cell)
-    if references:
-        return evaluate_scenes(find_scenes(clouds, references), ignored, request, listener)
-    return filter_and_evaluate(clouds, read_config(settings), ignored, request, listener)
 
 
 def _print_scores(facts: Mapping[str, Any]) -> None:

@@ -101,11 +101,8 @@ def test_an_archive_that_qgis_takes_and_that_is_always_the_same(tmp_path: Path) 
         metadata = configparser.ConfigParser()
         metadata.read_string(archive.read(f"{installation.FOLDER}/metadata.txt").decode())
         content = json.loads(archive.read(f"{installation.FOLDER}/settings.json"))
-        assert {Path(name).name for name in archive.namelist()} == {
-            *(p.name for p in SOURCES),
-            "metadata.txt",
-            "settings.json",
-        }
+        names = {Path(name).name for name in archive.namelist()}
+        assert names == {*(p.name for p in SOURCES), "metadata.txt", "settings.json"}
     general = metadata["general"]
     assert {
         "name",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import pytest
 
@@ -20,18 +20,14 @@ def unread() -> IO[bytes]:
     return os.fdopen(writing, "wb")
 
 
-def run(
-    *arguments: object, stdout: IO[bytes] | int, stderr: IO[bytes] | int
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        command(*arguments),
-        stdout=stdout,
-        stderr=stderr,
-        text=True,
-        env=environment(),
-        check=False,
-        timeout=TIMEOUT_SECONDS,
-    )
+def run(*arguments: object, **streams: IO[bytes] | int) -> Any:
+    settings: dict[str, Any] = {
+        "text": True,
+        "env": environment(),
+        "check": False,
+        "timeout": TIMEOUT_SECONDS,
+    }
+    return subprocess.run(command(*arguments), **settings, **streams)
 
 
 @pytest.mark.parametrize(

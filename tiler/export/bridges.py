@@ -22,15 +22,7 @@ def write_bridges(store_url: str, work: WriteBridges) -> dict[str, Any]:
     A polygon for the free part of each deck: ``length_m``, ``width_m``, ``clearance_m`` (height above what lies beside
     it), ``points_below`` (seen beneath it, which is more than likely only where the scanner looked from the side).
 
-    Returns
-    -------
-    dict
-        As of `new_file`.
-
-    Raises
-    ------
-    ProcessingError
-        The disk is full or the file cannot be written.
+    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
     """
     shapes = [shapely.Polygon(np.array(ring).reshape(-1, 2) / COUNTS_PER_UNIT) for ring, *_ in work.decks]
     sizes = np.array([deck[1:] for deck in work.decks], np.float64).reshape(-1, 4)

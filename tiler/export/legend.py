@@ -16,10 +16,7 @@ def write_legend(store_url: str, work: WriteLegend) -> dict[str, Any]:
 
     A GeoTIFF itself holds the colours of its classes, but GDAL keeps their names beside it.
 
-    Returns
-    -------
-    dict
-        As of `tiler.export.whole_files.new_file`.
+    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
     """
     root = ElementTree.Element("PAMDataset")
     band = ElementTree.SubElement(root, "PAMRasterBand", band="1")

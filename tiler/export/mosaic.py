@@ -27,10 +27,7 @@ _TYPES = {"float32": "Float32", "uint8": "Byte"}
 def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
     """Write ``<out>/<product>.vrt``; a `tiler.schedule.task.Work`.
 
-    Returns
-    -------
-    dict
-        As of `tiler.export.whole_files.new_file`.
+    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
     """
     frame, product = open_store(store_url).meta.frame, PRODUCTS[work.product]
     whole = _hull([spec for _, spec in work.sheets])

@@ -23,15 +23,7 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
     Columns are ``location`` (path from the folder of the file, named as by gdaltindex), ``west``, ``south``, ``east``,
     ``north``, ``void_percent`` (pixels without a value), ``min`` and ``max``.
 
-    Returns
-    -------
-    dict
-        As of `new_file`.
-
-    Raises
-    ------
-    ProcessingError
-        The disk is full or the file cannot be written.
+    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
     """
     crs = open_store(store_url).meta.frame.crs_wkt
     with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+import pyproj
 import pytest
-import rasterio
-from affine import Affine
 
+from tests.tiler.apps.check.rasters import write_heights
 from tiler.apps.cloud_facts import density_map
 from tiler.apps.info import describe
 from tiler.errors import InputError
@@ -21,8 +21,6 @@ def write_cloud(path: Path, side: float = 100.0, per_m2: int = 4, crs: str | Non
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.full(3, 0.001)
     if crs is not None:
-        import pyproj
-
         header.add_crs(pyproj.CRS(crs))
     step = 1 / np.sqrt(per_m2)
     axis = np.arange(step / 2, side, step)
@@ -38,13 +36,13 @@ def test_cloud(tmp_path: Path) -> None:
     path = tmp_path / "a.laz"
     write_cloud(path)
     facts = describe(str(path))
-    assert (facts["kind"], facts["points"], facts["format"], facts["las_version"]) == (
-        "cloud",
-        40_000,
-        "LAZ",
-        "1.4",
-    )
+    known = {"kind": "cloud", "points": 40_000, "format": "LAZ", "las_version": "1.4"}
+    assert facts.items() >= known.items()
     assert facts["classes"] == {"1": 36_000, "2": 4_000}
+    inner = np.array(facts["density_map"]["per_m2"])[1:-1, 1:-1]
+    assert np.median(inner) == pytest.approx(4, rel=0.1)
+    assert inner.shape[0] <= 22
+    assert inner.shape[1] <= 62
     assert facts["withheld_points"] == 1
     assert facts["density_per_m2"] == pytest.approx(4.0, rel=0.02)
     assert facts["crs"] == "ETRS89 / UTM zone 32N"
@@ -78,23 +76,9 @@ def test_cloud_without_points(tmp_path: Path) -> None:
 
 
 def test_raster(tmp_path: Path) -> None:
-    path = tmp_path / "dtm.tif"
     heights = np.arange(20, dtype=np.float32).reshape(4, 5)
     heights[0, 0] = -9999
-    profile = {
-        "driver": "GTiff",
-        "height": 4,
-        "width": 5,
-        "count": 1,
-        "dtype": "float32",
-        "nodata": -9999,
-        "crs": "EPSG:25832",
-        "transform": Affine(2, 0, 100, 0, -2, 200),
-    }
-    with rasterio.open(path, "w", **profile) as raster:
-        raster.write(heights, 1)
-        raster.units = ("metre",)
-    facts = describe(str(path))
+    facts = describe(str(write_heights(tmp_path / "dtm.tif", heights, 100, 200, 2, "EPSG:25832")))
     assert (facts["kind"], facts["width"], facts["height"], facts["nodata"]) == ("raster", 5, 4, -9999)
     assert facts["bounds"] == [100, 192, 110, 200]
     assert facts["crs"] == "ETRS89 / UTM zone 32N (EPSG:25832)"
@@ -125,12 +109,8 @@ def test_of_a_folder_of_clouds_a_cloud_is_wanted(tmp_path: Path) -> None:
 def test_result_folder(tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text('{"state": "done", "counts": {"stored": 7}, "plan": {}}')
     facts = describe(str(tmp_path))
-    assert (facts["kind"], facts["state"], facts["counts"], facts["dtm"]) == (
-        "result",
-        "done",
-        {"stored": 7},
-        None,
-    )
+    known = {"kind": "result", "state": "done", "counts": {"stored": 7}, "dtm": None}
+    assert facts.items() >= known.items()
     (tmp_path / "run.json").write_text("{")
     with pytest.raises(InputError, match="not valid JSON"):
         describe(str(tmp_path))
@@ -147,13 +127,3 @@ def test_the_map_of_density_is_north_up_and_keeps_every_point() -> None:
     two = np.array(density_map(counts.T.copy(), 1.0)["per_m2"])
     assert two[-1, 0] > 0  # row 0 of the counts is the southern one
     assert two[0, -1] > 0
-
-
-def test_a_cloud_has_a_map(tmp_path: Path) -> None:
-    path = tmp_path / "a.laz"
-    write_cloud(path, side=100, per_m2=4)
-    found = describe(str(path))["density_map"]
-    inner = np.array(found["per_m2"])[1:-1, 1:-1]
-    assert np.median(inner) == pytest.approx(4, rel=0.1)
-    assert len(found["per_m2"][0]) <= 64
-    assert len(found["per_m2"]) <= 24

@@ -33,23 +33,16 @@ def exported(folder: Path, epsg: int) -> RasterSpec:
     west, north = CORNERS[epsg]
     spec = RasterSpec(Lattice(Fraction(1000)), west, north, SIDE, 2 * SIDE)
     frame = CoordFrame(Units(), (0, 0), pyproj.CRS(epsg).to_wkt())
-    store = create_store(
-        str(folder / "store.zarr"), StoreMeta(frame, Lattice(Fraction(50_000)), Lattice(Fraction(500)), False)
-    )
+    meta = StoreMeta(frame, Lattice(Fraction(50_000)), Lattice(Fraction(500)), False)
+    store = create_store(str(folder / "store.zarr"), meta)
     store.create_raster("dtm", spec.height, spec.width)
-    for block in spec.blocks(512):
-        store.write_block(
-            "dtm", block, np.arange(spec.height * spec.width, dtype=np.float32).reshape(SIDE, -1)
-        )
+    (block,) = spec.blocks(512)
+    store.write_block("dtm", block, np.arange(SIDE * 2 * SIDE, dtype=np.float32).reshape(SIDE, -1))
     sheets = [(f"{i}", RasterSpec(spec.lattice, west + i * SIDE, north, SIDE, SIDE)) for i in range(2)]
     common: dict[str, Any] = {"product": "dtm", "out": str(folder), "tags": {}}
+    cog: dict[str, Any] = {**common, "raster": "dtm", "whole": spec, "compress": "deflate", "fill": -9999.0}
     for name, sheet in sheets:
-        write_cog(
-            store.url,
-            WriteCog(
-                **common, name=name, raster="dtm", spec=sheet, whole=spec, compress="deflate", fill=-9999.0
-            ),
-        )
+        write_cog(store.url, WriteCog(**cog, name=name, spec=sheet))
     write_mosaic(store.url, WriteMosaic(**common, sheets=tuple((f"{name}.tif", s) for name, s in sheets)))
     return spec
 

@@ -16,38 +16,15 @@ def test_times_of_earlier_runs_are_the_last_that_were_told(tmp_path: Path) -> No
     waiting = results.tile(3, 2, 30.0, state="waiting", seconds=None)
     tiles = [results.tile(i, 2, 30.0, seconds=None, peak_rss_bytes=None) for i in range(2)]
     content = results.run(tiles={"filter0": [*tiles, results.tile(2, 2, 30.0), waiting]})
-    events = [
-        {
-            "event": "task_done",
-            "stage": "filter0",
-            "key": tiles[0]["key"],
-            "seconds": 9.0,
-            "peak_rss_bytes": 1,
-        },
-        {
-            "event": "task_done",
-            "stage": "filter1",
-            "key": tiles[0]["key"],
-            "seconds": 8.0,
-            "peak_rss_bytes": 1,
-        },
-        {
-            "event": "task_done",
-            "stage": "filter0",
-            "key": tiles[0]["key"],
-            "seconds": 7.5,
-            "peak_rss_bytes": 5,
-        },
-        {"event": "task_done", "stage": "filter0", "key": "t+002+000", "seconds": 1e3, "peak_rss_bytes": 1},
-        {
-            "event": "task_done",
-            "stage": "filter0",
-            "key": waiting["key"],
-            "seconds": 1e3,
-            "peak_rss_bytes": 1,
-        },
+    done = [
+        ("filter0", tiles[0]["key"], 9.0, 1),
+        ("filter1", tiles[0]["key"], 8.0, 1),
+        ("filter0", tiles[0]["key"], 7.5, 5),
+        ("filter0", "t+002+000", 1e3, 1),
+        ("filter0", waiting["key"], 1e3, 1),
     ]
-    lines = [json.dumps(event) for event in events]
+    names = ("stage", "key", "seconds", "peak_rss_bytes")
+    lines = [json.dumps({"event": "task_done", **dict(zip(names, row, strict=True))}) for row in done]
     (tmp_path / "events.jsonl").write_text("\n".join([lines[0], '{"event": "task_do', *lines[1:]]))
     found = with_earlier_times(content, tmp_path)["tiles"]["filter0"]
     assert [t["seconds"] for t in found] == [7.5, None, 1.02, None]

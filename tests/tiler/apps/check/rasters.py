@@ -35,8 +35,20 @@ def write_surface(
     heights = np.asarray(surface(x, y), np.float32)
     for hole in holes:
         heights[hole] = -9999
-    with plain_geotiff(
-        path, side, side, (size, 0, west, 0, -size, north), RasterLook(crs, unit, "z", {})
-    ) as raster:
-        raster.write(heights, 0, 0)
+    return write_heights(path, heights, west, north, size, crs, unit)
+
+
+def write_heights(
+    path: Path,
+    heights: np.ndarray,
+    west: float = 0.0,
+    north: float = 0.0,
+    size: float = 1.0,
+    crs: str | None = None,
+    unit: str = "metre",
+) -> Path:
+    """A raster of these heights; -9999 is none."""
+    look, transform = RasterLook(crs, unit, "z", {}), (size, 0.0, west, 0.0, -size, north)
+    with plain_geotiff(path, *heights.shape, transform, look) as raster:
+        raster.write(heights.astype(np.float32), 0, 0)
     return path

@@ -15,7 +15,7 @@ import pytest
 import shapely
 
 from tests.tiler.apps.check.rasters import tilted, write_surface
-from tests.tiler.io.vector.files import write
+from tests.tiler.io.vector.files import collection, write
 from tests.tiler.junk import spoilt
 from tiler.apps.check import PointOptions, check_dtm, read_checkpoints
 from tiler.config import RunConfig
@@ -58,7 +58,7 @@ def test_geojson_with_junk_anywhere(read: Read, tmp_path: Path) -> None:
     path = tmp_path / "a.geojson"
     feature = {"type": "Feature", "properties": {"type": "NVA", "id": 1}, "geometry": GEOMETRIES[read][0]}
     crs = {"type": "name", "properties": {"name": "EPSG:25832"}}
-    document = {"type": "FeatureCollection", "crs": crs, "features": [feature]}
+    document = {**collection(), "crs": crs, "features": [feature]}
     path.write_text(json.dumps(document))
     assert one_line_at_most(read, path) == ""
     for changed in spoilt(document):
@@ -170,16 +170,8 @@ def test_tables_with_damaged_lines(tmp_path: Path) -> None:
 
 
 def write_feature(path: Path, geometry: dict[str, Any], crs: str) -> None:
-    system = {"type": "name", "properties": {"name": crs}}
-    path.write_text(
-        json.dumps(
-            {
-                "type": "FeatureCollection",
-                "features": [{"type": "Feature", "geometry": geometry}],
-                "crs": system,
-            }
-        )
-    )
+    content = collection(geometry) | {"crs": {"type": "name", "properties": {"name": crs}}}
+    path.write_text(json.dumps(content))
 
 
 def use(read: Read, path: Path, dtm: Path) -> None:

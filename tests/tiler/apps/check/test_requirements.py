@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tiler.apps.check import METRICS, Requirement, judge, parse_requirements
+from tiler.apps.check import Requirement, judge, parse_requirements
 from tiler.errors import ConfigError
 
 
@@ -49,10 +49,6 @@ def test_figures_are_held_against_limits(text: str, value: float, met: bool) -> 
 def test_what_has_no_figure_is_not_met() -> None:
     (judged,) = judge(parse_requirements(["rmse=1"]), report(rmse_v=None))
     assert (judged["value"], judged["met"]) == (None, False)
-
-
-def test_vegetated_points_are_never_judged() -> None:
-    assert not any("vva" in name for name in METRICS)
 
 
 @pytest.mark.parametrize(

@@ -2,31 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import rasterio
 
+from tests.tiler.apps.check.rasters import write_heights as raster
 from tiler.apps.evaluate import evaluate_dtm, heights
 from tiler.errors import ConfigError, InputError
-from tiler.export.geotiff import RasterLook, plain_geotiff
-
-
-def raster(
-    path: Path,
-    heights: np.ndarray,
-    west: float = 0.0,
-    north: float = 0.0,
-    size: float = 1.0,
-    crs: str | None = None,
-    unit: str = "metre",
-) -> Path:
-    with plain_geotiff(
-        path, *heights.shape, (size, 0, west, 0, -size, north), RasterLook(crs, unit, "z", {})
-    ) as out:
-        out.write(heights.astype(np.float32), 0, 0)
-    return path
 
 
 def test_a_dtm_against_its_truth(tmp_path):

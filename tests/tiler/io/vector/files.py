@@ -11,8 +11,6 @@ import numpy as np
 import shapely
 from pyogrio import raw
 
-Ring = Sequence[Sequence[float]]
-
 
 def collection(*geometries: dict[str, Any] | None) -> dict[str, Any]:
     """A GeoJSON FeatureCollection."""
