@@ -10,8 +10,6 @@ from ptd.tin.location import coincident_vertex, walk
 from ptd.tin.order import curve_order, round_order, sorted_by_key
 from ptd.tin.predicates import cross_at
 
-__all__ = ["build"]
-
 
 @kernel
 def _seeds(vertices: Int32Array, n: int) -> tuple[int, int]:
@@ -113,7 +111,7 @@ def build(
         first = walk(vertices, triangles, px, py, hint)
         v = coincident_vertex(vertices, triangles, px, py, first)
         if v >= 0:
-            lower_vertex(vertices, triangles, counters, v, pz, stamp)
+            lower_vertex(vertices, triangles, v, pz, stamp)
             hint = first
             continue
         vertices[4 * kept] = px

@@ -11,8 +11,6 @@ from ptd.kernel import kernel
 from ptd.tin.layout import HEADER, N_TRIANGLES, Int32Array, next_edge, previous_edge
 from ptd.tin.predicates import ghost_conflict, in_circle
 
-__all__ = ["link_vertex"]
-
 
 @kernel
 def _conflict(a: int, ax: int, ay: int, b: int, bx: int, by: int, d: int, dx: int, dy: int) -> bool:

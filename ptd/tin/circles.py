@@ -7,8 +7,6 @@ from ptd.kernel import kernel, wide
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
 
-__all__ = ["Rule", "Sides", "circle_inside", "facet_certified", "facet_passes", "unbounded"]
-
 # 32 units of rounding: a bound with room to spare for the few operations that make a centre. Inputs may be
 # rounded sums of squares and products (pixel centres), so they are counted in.
 _ROUNDING = 32.0 * 2.0**-53

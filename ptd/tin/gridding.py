@@ -13,8 +13,6 @@ from ptd.tin.layout import Int32Array
 from ptd.tin.mesh import MAX_EXTENT, Tin
 from ptd.tin.pixels import Lattice, UInt8Array
 
-__all__ = ["EVERYWHERE", "Pixels", "Raster", "Window", "pixel_owners", "rasterise"]
-
 _MAX_Q = 2**9 - 1
 _ALL = 2**62  # above the square of any edge
 

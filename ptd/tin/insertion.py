@@ -3,11 +3,6 @@
 from ptd.kernel import kernel, wide
 from ptd.tin.cavity import link_vertex
 from ptd.tin.layout import (
-    EVENT,
-    EVENT_FULL,
-    EVENT_KEPT,
-    EVENT_LOWERED,
-    EVENT_NEW,
     GHOST,
     N_TRIANGLES,
     N_VERTICES,
@@ -17,19 +12,13 @@ from ptd.tin.layout import (
 from ptd.tin.location import coincident_vertex, walk
 from ptd.tin.predicates import cross_at
 
-__all__ = ["insert", "lower_vertex", "start_triangulation"]
-
 
 @kernel
-def lower_vertex(
-    vertices: Int32Array, triangles: Int32Array, counters: Int32Array, vertex: int, z: int, stamp: int
-) -> bool:
-    """Lower `vertex` to `z` unless it is as low; stamp its triangles if it moved, say whether it did."""
+def lower_vertex(vertices: Int32Array, triangles: Int32Array, vertex: int, z: int, stamp: int) -> None:
+    """Lower `vertex` to `z` unless it is as low; stamp its triangles if it moved."""
     if z >= vertices[4 * vertex + 2]:
-        return False
+        return
     vertices[4 * vertex + 2] = z
-    if counters[N_TRIANGLES] == 0:
-        return True
     start = 8 * vertices[4 * vertex + 3]
     edge = start
     while triangles[edge + 4] != vertex:
@@ -39,7 +28,7 @@ def lower_vertex(
         triangles[8 * (edge >> 3) + 3] = stamp
         edge = next_edge(triangles[next_edge(edge)])
         if edge >> 3 == start:
-            return True
+            return
 
 
 @kernel
@@ -80,35 +69,6 @@ def start_triangulation(
 
 
 @kernel
-def _insert_flat(
-    vertices: Int32Array, triangles: Int32Array, counters: Int32Array, x: int, y: int, z: int, stamp: int
-) -> int:
-    """`insert` as long as all vertices are collinear: a list, searched from end to end."""
-    n = wide(counters[N_VERTICES])
-    for v in range(n):
-        if vertices[4 * v] == x and vertices[4 * v + 1] == y:
-            lowered = lower_vertex(vertices, triangles, counters, v, z, stamp)
-            counters[EVENT] = EVENT_LOWERED if lowered else EVENT_KEPT
-            return v
-    if 4 * n + 4 > vertices.size or 16 * n + 16 > triangles.size:
-        counters[EVENT] = EVENT_FULL
-        return -1
-    vertices[4 * n] = x
-    vertices[4 * n + 1] = y
-    vertices[4 * n + 2] = z
-    vertices[4 * n + 3] = -1
-    counters[N_VERTICES] = n + 1
-    counters[EVENT] = EVENT_NEW
-    if n >= 2 and cross_at(x, y, vertices[0], vertices[1], vertices[4], vertices[5]) != 0:
-        start_triangulation(vertices, triangles, counters, wide(0), wide(1), n, stamp)
-        for v in range(2, n):
-            px, py = wide(vertices[4 * v]), wide(vertices[4 * v + 1])
-            first = walk(vertices, triangles, px, py, wide(vertices[4 * v - 1]))
-            link_vertex(vertices, triangles, counters, v, first, stamp)
-    return n
-
-
-@kernel
 def insert(
     vertices: Int32Array,
     triangles: Int32Array,
@@ -127,12 +87,12 @@ def insert(
     Parameters
     ----------
     vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
-        ``counters[EVENT]`` tells what happened: `EVENT_NEW`, `EVENT_LOWERED`, `EVENT_KEPT` or `EVENT_FULL`.
+        A TIN with at least one real triangle.
     x, y, z : int
         Position in counts. Differences of x and of y within one TIN have to stay below 2**26: not checked
         here.
     hint : int
-        Any triangle, the nearer the faster; not read while there is no triangle.
+        Any triangle, the nearer the faster.
     stamp : int
         Written to each triangle that is created, rewired or made to have another height.
 
@@ -141,22 +101,17 @@ def insert(
     int
         Number of the vertex at (x, y), new or not; -1 if there is no room for another.
     """
-    if counters[N_TRIANGLES] == 0:
-        return _insert_flat(vertices, triangles, counters, x, y, z, stamp)
     first = walk(vertices, triangles, x, y, hint)
     v = coincident_vertex(vertices, triangles, x, y, first)
     if v >= 0:
-        lowered = lower_vertex(vertices, triangles, counters, v, z, stamp)
-        counters[EVENT] = EVENT_LOWERED if lowered else EVENT_KEPT
+        lower_vertex(vertices, triangles, v, z, stamp)
         return v
     v = wide(counters[N_VERTICES])
     if 4 * v + 4 > vertices.size or 16 * v > triangles.size:
-        counters[EVENT] = EVENT_FULL
         return -1
     vertices[4 * v] = x
     vertices[4 * v + 1] = y
     vertices[4 * v + 2] = z
     counters[N_VERTICES] = v + 1
-    counters[EVENT] = EVENT_NEW
     link_vertex(vertices, triangles, counters, v, first, stamp)
     return v

@@ -17,8 +17,6 @@ from ptd.kernel import kernel, wide
 from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
 
-__all__ = ["Plane", "canonical_facet", "facet_plane", "height_on", "heights", "plane_height"]
-
 Float64Array = npt.NDArray[np.float64]
 
 _STEPS = 2.0**20  # of a height in one count

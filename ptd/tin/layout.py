@@ -28,30 +28,6 @@ import numpy.typing as npt
 
 from ptd.kernel import kernel
 
-__all__ = [
-    "EVENT",
-    "EVENT_FULL",
-    "EVENT_KEPT",
-    "EVENT_LOWERED",
-    "EVENT_NEW",
-    "GHOST",
-    "HEADER",
-    "MAX_VERTICES",
-    "N_TRIANGLES",
-    "N_VERTICES",
-    "STAMP",
-    "VERTEX",
-    "Int32Array",
-    "Mesh",
-    "counters_array",
-    "is_ghost",
-    "next_edge",
-    "previous_edge",
-    "real_neighbour",
-    "triangles_array",
-    "vertices_array",
-]
-
 Int32Array = npt.NDArray[np.int32]
 
 GHOST = -1
@@ -60,13 +36,7 @@ VERTEX = 4  # first vertex column of a triangle
 
 N_VERTICES = 0  # entries of `counters`
 N_TRIANGLES = 1
-EVENT = 2  # what the last `insert` did: one of the four below
 HEADER = 8
-
-EVENT_KEPT = 0  # the position was taken by a vertex that is not higher; nothing changed
-EVENT_LOWERED = 1  # the position was taken by a higher vertex, whose z was lowered
-EVENT_NEW = 2  # a new vertex
-EVENT_FULL = 3  # no room for another vertex; nothing changed
 
 MAX_VERTICES = 2**27  # half-edge numbers have to fit int32
 _SCRATCH = 4 * 256

@@ -6,8 +6,6 @@ from ptd.kernel import kernel
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import N_TRIANGLES, Int32Array, is_ghost
 
-__all__ = ["real_facets"]
-
 
 @kernel
 def real_facets(vertices: Int32Array, triangles: Int32Array, counters: Int32Array) -> Int32Array:

@@ -4,8 +4,6 @@ from ptd.kernel import kernel, wide
 from ptd.tin.layout import Int32Array, next_edge, previous_edge, real_neighbour
 from ptd.tin.predicates import lexicographic_less
 
-__all__ = ["coincident_vertex", "locate", "walk"]
-
 
 @kernel
 def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int) -> int:

@@ -17,8 +17,6 @@ from ptd.tin.layout import (
     vertices_array,
 )
 
-__all__ = ["MAX_EXTENT", "Tin"]
-
 MAX_EXTENT = 2**26  # counts; differences of x and of y within one TIN stay below it
 
 _INT32 = np.iinfo(np.int32)

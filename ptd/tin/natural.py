@@ -21,8 +21,6 @@ from ptd.tin.pixels import Lattice, UInt8Array
 from ptd.tin.predicates import lexicographic_less
 from ptd.tin.raster import NO_OWNER
 
-__all__ = ["natural_heights"]
-
 # Shewchuk's bound of the error of the in-circle determinant with rounded differences and products is
 # 10 units of rounding and a bit; a position that near a circle takes no area worth counting.
 _ERROR = 16.0 * 2.0**-53

@@ -12,8 +12,6 @@ import numpy.typing as npt
 from ptd.kernel import kernel
 from ptd.tin.layout import Int32Array
 
-__all__ = ["curve_order", "round_order", "sorted_by_key"]
-
 UInt64Array = npt.NDArray[np.uint64]
 
 _KEY_BITS = 16  # of each coordinate in the sort key: 32 bits of key leave 32 for the index

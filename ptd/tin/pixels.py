@@ -9,9 +9,6 @@ import numpy.typing as npt
 from ptd.kernel import kernel
 from ptd.tin.circles import Rule, Sides
 
-__all__ = ["OWNED", "Lattice", "UInt8Array", "mark_near_sides", "settle_marks"]
-
-
 UInt8Array = npt.NDArray[np.uint8]
 
 

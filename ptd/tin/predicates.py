@@ -18,8 +18,6 @@ largest point moves most".
 
 from ptd.kernel import kernel, wide
 
-__all__ = ["cross_at", "ghost_conflict", "in_circle", "lexicographic_less"]
-
 _ERROR = 4.0 * 2.0**-53
 
 

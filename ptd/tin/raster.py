@@ -25,9 +25,6 @@ from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, next_edge
 from ptd.tin.pixels import OWNED, Lattice, UInt8Array, mark_near_sides, settle_marks
 from ptd.tin.predicates import lexicographic_less
 
-__all__ = ["NO_OWNER", "scan"]
-
-
 NO_OWNER = -1  # of a pixel; below it, -2 - v stands for vertex v
 
 

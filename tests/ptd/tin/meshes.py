@@ -7,15 +7,15 @@ import numpy.typing as npt
 
 from ptd.tin import Tin, listing
 from ptd.tin.insertion import insert
-from ptd.tin.layout import EVENT, EVENT_FULL, EVENT_KEPT, is_ghost
+from ptd.tin.layout import is_ghost
 from ptd.tin.location import locate
 
 
-def insert_point(tin: Tin, x: int, y: int, z: int, stamp: int = 0) -> tuple[int, bool]:
-    """Insert a point for which there is room: its vertex, and whether the TIN changed."""
-    vertex = insert(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, 0, stamp)
-    assert tin.counters[EVENT] != EVENT_FULL
-    return int(vertex), bool(tin.counters[EVENT] != EVENT_KEPT)
+def insert_point(tin: Tin, x: int, y: int, z: int, stamp: int = 0) -> int:
+    """Insert a point, for which there is room, into a TIN with triangles; its vertex."""
+    vertex = int(insert(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, 0, stamp))
+    assert vertex >= 0
+    return vertex
 
 
 def triangle_at(tin: Tin, x: int, y: int) -> int:
