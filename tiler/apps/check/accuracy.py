@@ -8,6 +8,7 @@ least 30 checkpoints (more above 1000 km2, 120 at most); vegetated accuracy (VVA
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,31 +81,23 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
         "all": _figures(difference, own),
         "nva": _figures(difference[kinds == NVA], own),
         "vva": _figures(difference[kinds == VVA], own),
-        "land_cover": {
-            name: _figures(difference[covers == name], own) for name in sorted(set(points.covers)) if name
-        },
+        "land_cover": {n: _figures(difference[covers == n], own) for n in sorted(set(points.covers)) if n},
     }
     facts["asprs"] = _statement(facts, area_km2, float(metres))
-    flags = outliers(difference)
-    facts["differences"] = [
-        {
-            "name": points.names[i],
-            "x": float(x[i]),
-            "y": float(y[i]),
-            "kind": points.kinds[i],
-            "cover": points.covers[i],
-            "z": float(z[i]),
-            "dtm": _or_none(sampled[i]),
-            "difference": _or_none(difference[i]),
-            "outlier": bool(flags[i]),
-        }
-        for i in range(len(points))
-    ]
+    columns: dict[str, Sequence[Any]] = {
+        "name": points.names,
+        "x": x.tolist(),
+        "y": y.tolist(),
+        "kind": points.kinds,
+        "cover": points.covers,
+        "z": z.tolist(),
+        "dtm": [v if math.isfinite(v) else None for v in sampled.tolist()],
+        "difference": [v if math.isfinite(v) else None for v in difference.tolist()],
+        "outlier": outliers(difference).tolist(),
+    }
+    rows = zip(*columns.values(), strict=True)
+    facts["differences"] = [dict(zip(columns, row, strict=True)) for row in rows]
     return {**facts, "notes": notes}
-
-
-def _or_none(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _in_crs_of(

@@ -1,32 +1,30 @@
 """The check as drawings: a histogram of the differences and a map of the points.
 
 SVG, since a drawing with numbers at its axes needs letters, which every viewer of SVG brings along; a plotting library
-would be a dependency for two pictures. The map's hillshade is a PNG within it.
+would be a dependency for two pictures. The map's hillshade is that of the report, a PNG within it.
 """
 
 from __future__ import annotations
 
-import base64
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
-import numpy.typing as npt
 
 from tiler.apps.check.accuracy import pixel_places
 from tiler.apps.evaluate.heights import files_of_raster
-from tiler.apps.evaluate.rasters import open_raster
+from tiler.apps.evaluate.rasters import open_raster, raster_named
 from tiler.errors import ConfigError
 from tiler.export.geotiff import raster_errors
-from tiler.export.picture import png_bytes
 from tiler.io.locations import cloud_path
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.partial_files import appearing
 from tiler.redaction import shown
+from tiler.report.pictures import small_hillshade
 
 WIDTH = 760
 HEIGHT = 420
@@ -41,9 +39,6 @@ _STYLE = (
 )
 _BELOW, _ABOVE, _NONE = (33, 102, 172), (178, 24, 43), "#777"
 """A DTM that is too low, too high, and a point without a height."""
-
-Floats = npt.NDArray[np.float64]
-
 
 FILES = ("histogram.svg", "map.svg")
 
@@ -173,13 +168,17 @@ def ticks(low: float, high: float) -> list[float]:
 
 def point_map(dtm: Path, accuracy: Mapping[str, Any]) -> str:
     """The points over a hillshade, coloured by their difference, as SVG."""
-    picture, pixels = _hillshade(dtm)
-    height, width = picture.shape[:2]
-    image = base64.b64encode(png_bytes(picture)).decode("ascii")
-    parts = [f'<image width="{width}" height="{height}" href="data:image/png;base64,{image}"/>']
+    with open_raster(dtm) as raster:
+        transform, shape = raster.transform, raster.shape
+    with raster_named(dtm):
+        picture = small_hillshade(str(dtm), {"plan": {}}, MAP_PIXELS)
+    width, height = picture.size
+    parts = [f'<image width="{width}" height="{height}" href="{picture.uri}"/>']
+    points = accuracy["differences"]
+    x, y = (np.array([point[axis] for point in points]) for axis in "xy")
+    columns, rows = pixel_places(transform, x, y)
     largest = accuracy["all"]["p95_abs"] or 1.0
-    for point in accuracy["differences"]:
-        column, row = pixels(point["x"], point["y"])
+    for point, column, row in zip(points, columns * width / shape[1], rows * height / shape[0], strict=True):
         difference = point["difference"]
         told = "no height" if difference is None else f"{difference:+.3f} {accuracy['unit']}"
         kind = " ".join(text for text in (point["kind"], point["cover"]) if text)
@@ -199,35 +198,3 @@ def _colour(difference: float | None, largest: float) -> str:
     share = min(abs(difference) / largest, 1.0)
     end = _ABOVE if difference > 0 else _BELOW
     return "rgb({},{},{})".format(*(round(247 + (c - 247) * share) for c in end))
-
-
-def _hillshade(dtm: Path) -> tuple[npt.NDArray[np.uint8], Callable[[float, float], tuple[float, float]]]:
-    """A small hillshade (light from the north-west at 45 degrees), and what brings x, y to its column and row."""
-    with open_raster(dtm) as raster:
-        shrink = max(max(raster.shape) / MAP_PIXELS, 1.0)
-        shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
-        heights = raster.read(1, out_shape=shape, masked=True).astype(np.float64).filled(np.nan)
-        transform = raster.transform
-        wide, high = shape[1] / raster.width, shape[0] / raster.height
-    rgba = np.zeros((*shape, 4), np.uint8)
-    shade = _shade(heights, abs(transform.a) / wide, abs(transform.e) / high)
-    seen = np.isfinite(shade)
-    rgba[seen, :3] = (110 + 140 * shade[seen, None]).astype(np.uint8)
-    rgba[seen, 3] = 255
-
-    def pixels(x: float, y: float) -> tuple[float, float]:
-        columns, rows = pixel_places(transform, np.array([x]), np.array([y]))
-        return float(columns[0] * wide), float(rows[0] * high)
-
-    return rgba, pixels
-
-
-def _shade(heights: Floats, dx: float, dy: float) -> Floats:
-    """Share of the light that falls on the surface, 0 to 1; NaN without a height."""
-    if min(heights.shape) < 2:
-        return np.where(np.isfinite(heights), 0.7, np.nan)
-    south, east = np.gradient(heights, dy, dx)
-    # Normal (-east, south, 1) in x, y, z (rows run to the south), light from (-1, 1, sqrt 2) / 2.
-    normal = np.sqrt(east**2 + south**2 + 1)
-    shade: Floats = np.clip((east + south + math.sqrt(2)) / (2 * normal), 0, 1)
-    return np.where(np.isfinite(heights) & np.isnan(shade), 0.7, shade)

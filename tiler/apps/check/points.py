@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -95,7 +95,7 @@ class Checkpoints:
     covers: tuple[str, ...]
     names: tuple[str, ...]
     crs: str | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.z)
@@ -120,14 +120,11 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     suffix = path.suffix.lower()
     if not path.is_file():
         raise InputError(f"{path}: no such file; name a CSV, GeoJSON or GeoPackage file of checkpoints")
-    crs: str | None = None
-    notes: list[str] = []
     if suffix in (".csv", ".txt"):
-        rows = list(_csv_rows(path))
+        rows, crs, notes = list(_csv_rows(path)), None, []
     else:
         found = read_features(path, CHECKPOINTS)
-        rows, crs = [_row_of(feature) for feature in found.features], found.crs
-        notes += found.notes
+        rows, crs, notes = [_row_of(feature) for feature in found.features], found.crs, list(found.notes)
     if not rows:
         raise InputError(f"{path}: holds no checkpoint")
     kinds = tuple(_kind(path, row.kind) for row in rows)

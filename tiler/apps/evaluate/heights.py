@@ -259,15 +259,16 @@ def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Fl
 
 def vertical_unit(raster: Any) -> Fraction:
     """Metres in one unit of an open raster's heights: the band's, else that of its CRS, else a metre."""
-    if raster.units[0]:
-        return unit_named(raster.units[0])
-    if raster.crs is not None and raster.crs.is_projected:
-        return exact_unit(raster.crs.linear_units_factor[1])
-    return METRE
+    return unit_named(raster.units[0]) if raster.units[0] else _crs_unit(raster)
 
 
 def horizontal_unit(dtm: Path) -> Fraction:
     """Metres in one unit of a raster's coordinates; a metre where it has no CRS. Raises InputError."""
     with open_raster(dtm) as raster:
-        known = raster.crs is not None and raster.crs.is_projected
-        return exact_unit(raster.crs.linear_units_factor[1]) if known else METRE
+        return _crs_unit(raster)
+
+
+def _crs_unit(raster: Any) -> Fraction:
+    """Metres in one unit of a raster's CRS; a metre where it has none, or one of degrees."""
+    known = raster.crs is not None and raster.crs.is_projected
+    return exact_unit(raster.crs.linear_units_factor[1]) if known else METRE

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 from shapely.geometry.base import BaseGeometry
 
@@ -186,15 +185,14 @@ def _features(
             raise InputError(
                 f"{where}: is a {geometry.geom_type}; {kind.name} are wanted: write them to a file of their own"
             )
-        _check_places(where, shapely.get_coordinates(geometry))
+        places = shapely.get_coordinates(geometry)
+        if not np.isfinite(places).all():
+            raise InputError(f"{where}: has a place that is no number; draw it again")
+        if np.abs(places).max() >= FARTHEST:
+            raise InputError(
+                f"{where}: has a place farther away than {FARTHEST:g}; write coordinates of its CRS"
+            )
         yield Feature(where, geometry, {k: _plain(v) for k, v in attributes.items()})
-
-
-def _check_places(where: str, places: npt.NDArray[np.float64]) -> None:
-    if not np.isfinite(places).all():
-        raise InputError(f"{where}: has a place that is no number; draw it again")
-    if np.abs(places).max() >= FARTHEST:
-        raise InputError(f"{where}: has a place farther away than {FARTHEST:g}; write coordinates of its CRS")
 
 
 def _plain(value: Any) -> Any:
