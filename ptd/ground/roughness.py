@@ -30,7 +30,8 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
 from ptd.frame import Cells, Scale, Window
-from ptd.kernel import kernel, wide
+from ptd.ground.planes import MOMENTS, add_point, fit_plane
+from ptd.kernel import kernel
 
 PATCH_M = 4.0
 MIN_POINTS = 16
@@ -53,6 +54,7 @@ SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
 TALLEST_M = 8.0
 """Patches whose points span more height are no planes; keeps the sums small."""
 
+Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
 
 
@@ -82,16 +84,12 @@ class Roughness:
 class _Moments(NamedTuple):
     """Sums over the points of each cell.
 
-    Attributes
-    ----------
-    low, high : int64 [cells]
-        Lowest and highest point, counts.
-    sums : int64 [cells, 4, 10]
-        Moments of each quarter: n, x, y, z, xx, xy, yy, xz, yz, zz from the cell's corner and lowest point.
-    first : int64 [cells]
-        The southernmost point, of those the westernmost.
+    Moments of each quarter, int64 [cells, 4, MOMENTS], are taken from its south-western corner (x, y) and its lowest
+    point. Its first point is the southernmost one, of those the westernmost.
     """
 
+    x: Int64
+    y: Int64
     low: Int64
     high: Int64
     sums: Int64
@@ -107,7 +105,8 @@ def _sums(
     corner_x, corner_y = corners
     p, q = side
     low, high = np.full(corner_x.size, 2**40, np.int64), np.full(corner_x.size, -(2**40), np.int64)
-    sums, first = np.zeros((corner_x.size, 4, 10), np.int64), np.full(corner_x.size, -1, np.int64)
+    sums = np.zeros((corner_x.size, 4, MOMENTS), np.int64)
+    first = np.full(corner_x.size, -1, np.int64)
     for i in range(x.size):
         k = slot[i]
         low[k], high[k] = min(low[k], np.int64(z[i])), max(high[k], np.int64(z[i]))
@@ -118,63 +117,28 @@ def _sums(
         k = slot[i]
         dx, dy, dz = np.int64(x[i]) - corner_x[k], np.int64(y[i]) - corner_y[k], np.int64(z[i]) - low[k]
         quarter = 2 * int(2 * q * dy >= p) + int(2 * q * dx >= p)
-        s = sums[k, quarter]
-        s[0] += 1
-        s[3] += dz
-        if high[k] - low[k] > tallest:
-            continue
-        s[1] += dx
-        s[2] += dy
-        s[4] += dx * dx
-        s[5] += dx * dy
-        s[6] += dy * dy
-        s[7] += dx * dz
-        s[8] += dy * dz
-        s[9] += dz * dz
-    return _Moments(low, high, sums, first)
+        if high[k] - low[k] <= tallest:
+            add_point(sums[k, quarter], dx, dy, dz)
+        else:
+            sums[k, quarter, 0] += 1
+            sums[k, quarter, 3] += dz
+    return _Moments(corner_x, corner_y, low, high, sums, first)
 
 
 @kernel
-def fit_plane(s: Int64, z_ratio: float) -> tuple[float, float, float, float]:
-    """Least squares ``z = c + a x + b y`` in horizontal counts from moments: a, b, c, sum of squared residuals.
-
-    The last is -1 where the points lie on a line.
-    """
-    n = float(s[0])
-    mx, my, mz = s[1] / n, s[2] / n, s[3] / n
-    xx, xy, yy = s[4] - n * mx * mx, s[5] - n * mx * my, s[6] - n * my * my
-    xz, yz, zz = (s[7] - n * mx * mz) * z_ratio, (s[8] - n * my * mz) * z_ratio, s[9] - n * mz * mz
-    det = xx * yy - xy * xy
-    if det <= 1e-6 * xx * yy:
-        return 0.0, 0.0, 0.0, -1.0
-    a, b = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
-    return a, b, mz * z_ratio - a * mx - b * my, max(zz * z_ratio * z_ratio - a * xz - b * yz, 0.0)
-
-
-@kernel
-def _total(sums: Int64, cell: int, moment: int) -> int:
-    """A moment of a cell: the sum of its quarters' (sums of arrays take numba as long to compile as ten such)."""
-    return sums[cell, 0, moment] + sums[cell, 1, moment] + sums[cell, 2, moment] + sums[cell, 3, moment]  # type: ignore[no-any-return]
-
-
-@kernel
-def _patches(
-    sums: Int64, low: Int64, high: Int64, tallest: float, largest: float, z_ratio: float
-) -> tuple[Float64, Float64]:
+def _patches(moments: _Moments, whole: Int64, tallest: float, largest: float, z_ratio: float) -> Float64:
     """Planes a, b, c of the cells that are many and planar, and their noise (-1 for all others), horizontal counts."""
-    planes = np.zeros((low.size, 3))
-    noise = np.full(low.size, -1.0)
-    total = np.empty(sums.shape[2], np.int64)
+    low, high, sums = moments.low, moments.high, moments.sums
+    planes = np.zeros((low.size, 4))
+    planes[:, 3] = -1.0
     for k in range(low.size):
         fewest = min(min(sums[k, 0, 0], sums[k, 1, 0]), min(sums[k, 2, 0], sums[k, 3, 0]))
         if high[k] - low[k] > tallest or fewest < MIN_QUARTER:
             continue
-        for moment in range(total.size):
-            total[moment] = _total(sums, k, moment)
-        n = total[0]
+        n = whole[k, 0]
         if n < MIN_POINTS:
             continue
-        a, b, c, squares = fit_plane(total, z_ratio)
+        a, b, c, squares = fit_plane(whole[k], z_ratio)
         variance = squares / (n - 3)
         cos = 1.0 / math.sqrt(1.0 + a * a + b * b)
         if squares < 0.0 or math.sqrt(variance) * cos > largest or a * a + b * b > STEEPEST * STEEPEST:
@@ -185,9 +149,8 @@ def _patches(
             parts = parts + left if left >= 0.0 and parts >= 0.0 else -1.0
         if parts / (n - 12 if n > 12 else 1) < LEAST_QUARTERS * variance and squares > 0.0:
             continue
-        planes[k, 0], planes[k, 1], planes[k, 2] = a, b, c
-        noise[k] = math.sqrt(variance) * cos
-    return planes, noise
+        planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3] = a, b, c, math.sqrt(variance) * cos
+    return planes
 
 
 @kernel
@@ -206,58 +169,47 @@ def _quarters(sums: Int64, z_ratio: float) -> Float64:
 
 
 @kernel
-def _drop_bent(
-    points: Xyz,
-    slot: Int64,
-    corners: tuple[Int64, Int64],
-    low: Int64,
-    planes: Float64,
-    noise: Float64,
-    z_ratio: float,
-) -> None:
+def _drop_bent(points: Xyz, slot: Int64, moments: _Moments, planes: Float64, z_ratio: float) -> None:
     """Refuse the patches one of whose points lies beyond `LARGEST_RESIDUAL` times the noise."""
     x, y, z = points
-    corner_x, corner_y = corners
-    worst = np.zeros(noise.size)
+    worst = np.zeros(planes.shape[0])
     for i in range(x.size):
         k = slot[i]
-        if noise[k] < 0.0:
+        a, b, c, noise = planes[k]
+        if noise < 0.0:
             continue
-        a, b, c = planes[k]
-        vertical = (z[i] - low[k]) * z_ratio - (a * (x[i] - corner_x[k]) + b * (y[i] - corner_y[k]) + c)
+        level = a * (x[i] - moments.x[k]) + b * (y[i] - moments.y[k]) + c
+        vertical = (z[i] - moments.low[k]) * z_ratio - level
         worst[k] = max(worst[k], abs(vertical) / math.sqrt(1.0 + a * a + b * b))
-    for k in range(noise.size):
-        if worst[k] > LARGEST_RESIDUAL * noise[k]:
-            noise[k] = -1.0
+    for k in range(worst.size):
+        if worst[k] > LARGEST_RESIDUAL * planes[k, 3]:
+            planes[k, 3] = -1.0
 
 
 @kernel
 def _drop_raised(
     keys: Int64,
     width: int,
-    corners: tuple[Int64, Int64],
     moments: _Moments,
+    whole: Int64,
     planes: Float64,
-    noise: Float64,
     side: float,
     drop: float,
     z_ratio: float,
-) -> npt.NDArray[np.bool_]:
+) -> Bool:
     """Which patches are ground: no cell with enough points around them has its mean far below their plane."""
-    corner_x, corner_y = corners
-    low, sums = moments.low, moments.sums
-    ground = noise >= 0.0
+    low = moments.low
+    ground = planes[:, 3] >= 0.0
     for k in range(keys.size):
         if not ground[k]:
             continue
-        a, b, c = planes[k]
+        a, b, c, _ = planes[k]
         for row in range(-REACH_CELLS, REACH_CELLS + 1):
             j = np.searchsorted(keys, keys[k] + row * width - REACH_CELLS)
             while j < keys.size and keys[j] <= keys[k] + row * width + REACH_CELLS:
-                n = _total(sums, j, wide(0))
-                if n >= MIN_POINTS:
-                    mean = (_total(sums, j, wide(3)) / n + (low[j] - low[k])) * z_ratio
-                    px, py = corner_x[j] - corner_x[k] + side / 2, corner_y[j] - corner_y[k] + side / 2
+                if whole[j, 0] >= MIN_POINTS:
+                    mean = (whole[j, 3] / whole[j, 0] + (low[j] - low[k])) * z_ratio
+                    px, py = moments.x[j] - moments.x[k] + side / 2, moments.y[j] - moments.y[k] + side / 2
                     if mean < a * px + b * py + c - drop:
                         ground[k] = False
                 j += 1
@@ -292,21 +244,21 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
     point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
     keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
-    corner_x, corner_y = cells.corners(keys % width + col0, keys // width + row0)
-    corners, tallest, ratio = (corner_x, corner_y), scale.counts_z(TALLEST_M), scale.z_ratio
+    corners = cells.corners(keys % width + col0, keys // width + row0)
+    tallest, ratio = scale.counts_z(TALLEST_M), scale.z_ratio
     moments = _sums(points, slot, corners, (cells.p, cells.q), tallest)
-    low, high, sums, first = moments
-    planes, noise = _patches(sums, low, high, tallest, scale.counts(LARGEST_SIGMA_M), ratio)
-    _drop_bent(points, slot, corners, low, planes, noise, ratio)
+    whole = moments.sums.sum(axis=1)
+    planes = _patches(moments, whole, tallest, scale.counts(LARGEST_SIGMA_M), ratio)
+    _drop_bent(points, slot, moments, planes, ratio)
     side, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
-    ground = _drop_raised(keys, width, corners, moments, planes, noise, side, drop, ratio)
-    own = inside[first]
-    quarters = _quarters(sums[own], ratio)
+    ground = _drop_raised(keys, width, moments, whole, planes, side, drop, ratio)
+    own = inside[moments.first]
+    quarters = _quarters(moments.sums[own], ratio)
     return {
         "points": int(inside.sum()),
         "cells": int(own.sum()),
-        "full": int(np.count_nonzero(sums[own, :, 0].sum(axis=1) >= MIN_POINTS)),
-        "patches": _binned(noise[own & ground], scale),
+        "full": int(np.count_nonzero(whole[own, 0] >= MIN_POINTS)),
+        "patches": _binned(planes[own & ground, 3], scale),
         "quarters": _binned(quarters[(quarters >= 0.0) & (quarters < scale.counts(LARGEST_SIGMA_M))], scale),
     }
 
@@ -323,10 +275,10 @@ def merge(partials: Iterable[Mapping[str, Any]]) -> Roughness:
     patches: Counter[int] = Counter()
     quarters: Counter[int] = Counter()
     for partial in partials:
-        points, cells = points + int(partial["points"]), cells + int(partial["cells"])
-        full += int(partial["full"])
-        patches.update({int(index): int(count) for index, count in partial["patches"]})
-        quarters.update({int(index): int(count) for index, count in partial["quarters"]})
+        points, cells = points + partial["points"], cells + partial["cells"]
+        full += partial["full"]
+        patches.update(dict(partial["patches"]))
+        quarters.update(dict(partial["quarters"]))
     density = points / (cells * PATCH_M**2) if cells else 0.0
     smoothest = _quantile(quarters, SMOOTHEST_SHARE)
     smoothest = None if smoothest is None else round(SMOOTHEST_FACTOR * smoothest, 6)

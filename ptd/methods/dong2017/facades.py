@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, Int32, Int64, slot_of
+from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, slot_of
 from ptd.frame import Cells
-from ptd.ground.roughness import fit_plane
+from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
 
 Bool = npt.NDArray[np.bool_]
@@ -156,7 +156,7 @@ def _variation(
 
     The sums are of whole numbers, relative to a point of the block: the order of the points changes no bit.
     """
-    s = np.zeros(10, np.int64)
+    s = np.zeros(MOMENTS, np.int64)
     for r in range(row - BLOCK, row + BLOCK + 1):
         for c in range(column - BLOCK, column + BLOCK + 1):
             slot = slot_of(table, c, r)
@@ -164,14 +164,8 @@ def _variation(
                 continue
             for k in range(table.starts[slot], table.starts[slot + 1]):
                 i = table.order[k]
-                dx, dy, dz = (
-                    np.int64(x[i]) - x[origin],
-                    np.int64(y[i]) - y[origin],
-                    np.int64(z[i]) - z[origin],
-                )
-                moments = (1, dx, dy, dz, dx * dx, dx * dy, dy * dy, dx * dz, dy * dz, dz * dz)
-                for m in range(10):
-                    s[m] += moments[m]
+                dx, dy = np.int64(x[i]) - x[origin], np.int64(y[i]) - y[origin]
+                add_point(s, dx, dy, np.int64(z[i]) - z[origin])
     if s[0] < MIN_BLOCK_POINTS:
         return math.inf
     a, b, _, squares = fit_plane(s, z_ratio)
@@ -179,20 +173,12 @@ def _variation(
 
 
 @kernel
-def _flat(
-    x: Int32,
-    y: Int32,
-    z: Int32,
-    table: CellTable,
-    seeds: Int32,
-    columns: Int64,
-    rows: Int64,
-    largest: float,
-    z_ratio: float,
-) -> Bool:
+def _flat(points: Xyz, table: CellTable, seeds: Int32, places: tuple[Int64, Int64], rule: FacadeRule) -> Bool:
+    x, y, z = points
+    columns, rows = places
     out = np.zeros(seeds.size, np.bool_)
     for k in range(seeds.size):
-        out[k] = _variation(x, y, z, table, columns[k], rows[k], seeds[k], z_ratio) < largest
+        out[k] = _variation(x, y, z, table, columns[k], rows[k], seeds[k], rule.z_ratio) < rule.variation
     return out
 
 
@@ -232,7 +218,5 @@ class Facades:
         found = _road_points(x, y, z, table, self.holds, rule)
         found = found[found >= 0]
         found = found[np.sort(np.unique(found, return_index=True)[1])]
-        columns, rows = self.index.places(x[found], y[found])
-        flat = _flat(x, y, z, table, found, columns, rows, rule.variation, rule.z_ratio)
-        kept: Int32 = found[flat]
+        kept: Int32 = found[_flat(Xyz(x, y, z), table, found, self.index.places(x[found], y[found]), rule)]
         return kept

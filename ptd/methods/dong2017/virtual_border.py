@@ -12,7 +12,7 @@ import numpy as np
 
 from ptd.cells import CellTable, Int32, Int64, cell_keys, slot_of
 from ptd.frame import Cells
-from ptd.ground.roughness import fit_plane
+from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.ground.seeds import RING
 from ptd.kernel import kernel
 
@@ -27,7 +27,7 @@ MIN_CELLS = 4
 def _heights(table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: Int64, cy: Int64) -> Int64:
     """Heights of planes through the filled cells around empty ones."""
     out = np.empty(empty.size, np.int64)
-    s = np.zeros(10, np.int64)
+    s = np.zeros(MOMENTS, np.int64)
     for k in range(empty.size):
         s[:] = 0
         row, column = empty[k] // table.width, empty[k] % table.width
@@ -40,10 +40,7 @@ def _heights(table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: I
                 i = table.order[slot]  # one point a cell
                 if s[0] == 0:
                     base = z[i]
-                dx, dy, dz = x[i] - cx[k], y[i] - cy[k], z[i] - base
-                moments = (1, dx, dy, dz, dx * dx, dx * dy, dy * dy, dx * dz, dy * dz, dz * dz)
-                for m in range(10):
-                    s[m] += moments[m]
+                add_point(s, x[i] - cx[k], y[i] - cy[k], z[i] - base)
         level = s[3] / s[0]
         if s[0] >= MIN_CELLS:
             _, _, at, squares = fit_plane(s, 1.0)
