@@ -8,8 +8,8 @@ from ptd.cells import Int32, Int64
 from ptd.ground.morphology import EMPTY
 from ptd.kernel import kernel
 
-_EAST = (1, 0, -1, 0, 1, -1, -1, 1)
-_NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
+EAST = (1, 0, -1, 0, 1, -1, -1, 1)
+NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
 """Steps to the eight neighbours of a cell, straight ones first."""
 
 
@@ -74,7 +74,7 @@ def _fill(
             for way in range(8):
                 limit = straight if way < 4 else diagonal
                 for steps in range(1, gap + 1):
-                    r, c = row + steps * _NORTH[way], column + steps * _EAST[way]
+                    r, c = row + steps * NORTH[way], column + steps * EAST[way]
                     if r < 0 or c < 0 or r >= rows or c >= columns:
                         break
                     if heights[r, c] == EMPTY:
@@ -82,10 +82,10 @@ def _fill(
                     if surface[r, c] < 0:
                         # In 64 bits: heights of opposite ends of int32 differ by more than it holds.
                         rise = np.int64(heights[r, c]) - np.int64(heights[row, column])
-                        tilt = _NORTH[way] * (
+                        tilt = NORTH[way] * (
                             north[r // block, c // block] + north[row // block, column // block]
                         )
-                        tilt += _EAST[way] * (
+                        tilt += EAST[way] * (
                             east[r // block, c // block] + east[row // block, column // block]
                         )
                         if abs(rise) < limit or abs(rise - steps * tilt / 2) < limit:

@@ -19,6 +19,8 @@ from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
 from ptd.tin.predicates import lexicographic_less
 
+Measures = tuple[float, float, float, float]
+"""What `facet_measures` gives."""
 UInt8 = npt.NDArray[np.uint8]
 
 
@@ -74,7 +76,7 @@ class Limits(NamedTuple):
 @kernel
 def facet_measures(
     vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float
-) -> tuple[float, float, float, float]:
+) -> Measures:
     """How a point lies to a real facet.
 
     Everything is computed relative to the facet's lexicographically smallest corner and in one order of the
@@ -93,16 +95,9 @@ def facet_measures(
     """
     a, b, c = canonical_facet(vertices, triangles, t)
     ax, ay, az = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
-    bx, by, bz = (
-        float(vertices[4 * b] - ax),
-        float(vertices[4 * b + 1] - ay),
-        (vertices[4 * b + 2] - az) * z_ratio,
-    )
-    cx, cy, cz = (
-        float(vertices[4 * c] - ax),
-        float(vertices[4 * c + 1] - ay),
-        (vertices[4 * c + 2] - az) * z_ratio,
-    )
+    bx, by = float(vertices[4 * b] - ax), float(vertices[4 * b + 1] - ay)
+    cx, cy = float(vertices[4 * c] - ax), float(vertices[4 * c + 1] - ay)
+    bz, cz = (vertices[4 * b + 2] - az) * z_ratio, (vertices[4 * c + 2] - az) * z_ratio
     px, py, pz = float(x - ax), float(y - ay), (z - az) * z_ratio
     nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     n2 = nx * nx + ny * ny + nz * nz
@@ -138,13 +133,8 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
     for v in corners[1:]:
         higher = vertices[4 * v + 2] > vertices[4 * top + 2]
         tie = vertices[4 * v + 2] == vertices[4 * top + 2]
-        left = lexicographic_less(
-            wide(vertices[4 * v]),
-            wide(vertices[4 * v + 1]),
-            wide(vertices[4 * top]),
-            wide(vertices[4 * top + 1]),
-        )
-        if higher or (tie and left):
+        x0, y0, x1, y1 = vertices[4 * v], vertices[4 * v + 1], vertices[4 * top], vertices[4 * top + 1]
+        if higher or (tie and lexicographic_less(wide(x0), wide(y0), wide(x1), wide(y1))):
             top = v
     mx, my = 2 * vertices[4 * top] - x, 2 * vertices[4 * top + 1] - y
     return locate(vertices, triangles, mx, my, t), mx, my
@@ -220,7 +210,7 @@ def judge(
     x: int,
     y: int,
     z: int,
-    measures: tuple[float, float, float, float],
+    measures: Measures,
     limits: Limits,
     in_doubt: UInt8,
 ) -> tuple[bool, bool, bool]:

@@ -18,7 +18,7 @@ from ptd.ground.criteria import across, facet_measures
 from ptd.kernel import kernel
 from ptd.tin.circles import Rule, facet_passes
 from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import N_TRIANGLES, Int32Array, Mesh
+from ptd.tin.layout import Int32Array, Mesh
 from ptd.tin.location import coincident_vertex, locate
 from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
@@ -93,7 +93,8 @@ def _gauge(
 
 
 @kernel
-def _usable(vertices: Int32Array, triangles: Int32Array, n: int, rule: Rule) -> Bool:
+def _usable(mesh: Mesh, n: int, rule: Rule) -> Bool:
+    vertices, triangles = mesh
     out = np.zeros(n, np.bool_)
     for t in range(n):
         out[t] = facet_passes(vertices, triangles, t, rule)
@@ -181,17 +182,11 @@ class Trial:
     def __init__(
         self, tin: Tin, scale: Scale, widest_m: float, doubt: Doubt | None = None, largest: bool = False
     ) -> None:
-        self.tin, self.scale, self.doubt, self.largest = tin, scale, doubt, largest
-        self.radius = scale.counts(widest_m)
-        n = int(tin.counters[N_TRIANGLES])
-        self.usable = _usable(tin.vertex_array, tin.triangle_array, n, Rule(ANY_EDGE, self.radius))
-        self.in_doubt = np.zeros(n, np.uint8)
-        if doubt is not None:
-            self.in_doubt = doubt.triangles(tin)
-        if n:
-            self._tested = Tested(
-                tin.mesh, self.usable, self.in_doubt, Locator.of(tin), scale.z_ratio, largest
-            )
+        self.tin, self.scale, self.radius = tin, scale, scale.counts(widest_m)
+        self.usable = _usable(tin.mesh, tin.n_triangles, Rule(ANY_EDGE, self.radius))
+        if self.usable.size:
+            in_doubt = np.zeros(tin.n_triangles, np.uint8) if doubt is None else doubt.triangles(tin)
+            self._tested = Tested(tin.mesh, self.usable, in_doubt, Locator.of(tin), scale.z_ratio, largest)
 
     def test(
         self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: Doubt

@@ -190,7 +190,7 @@ def _label(
         ):
             labels[i], marked[i] = UNCLASSIFIED, in_doubt[t] != 0
             continue
-        terrain, _elsewhere, marked[i] = is_terrain(
+        terrain, _, marked[i] = is_terrain(
             vertices, triangles, t, px, py, pz, in_doubt, rule.limits, rule.floor
         )
         labels[i] = GROUND if terrain else UNCLASSIFIED

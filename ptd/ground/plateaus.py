@@ -23,13 +23,9 @@ import scipy
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
-from ptd.ground.connected import connected_surfaces
+from ptd.ground.connected import EAST, NORTH, connected_surfaces
 from ptd.ground.morphology import EMPTY, Bool, CellRaster
 from ptd.kernel import kernel
-
-_EAST = (1, 0, -1, 0, 1, -1, -1, 1)
-_NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
-"""Steps to the eight neighbours of a cell."""
 
 _AREA, _FALLS, _OTHERS, _PAST, _UNSEEN, _BORDER = range(6)
 """What is counted of each surface; from the last on, looks along each of the eight ways that leave the data."""
@@ -207,7 +203,7 @@ def _looks(
             for way in range(8):
                 met, joined = _BORDER + way, False
                 for steps in range(1, view + 1):
-                    r, c = row + steps * _NORTH[way], column + steps * _EAST[way]
+                    r, c = row + steps * NORTH[way], column + steps * EAST[way]
                     if r < 0 or c < 0 or r >= rows or c >= columns:
                         break
                     if surface[r, c] == own:

@@ -72,11 +72,10 @@ def index_of_bin(first: int) -> float:
 
 def smoothed(counts: Sequence[int]) -> list[int]:
     """Counts smoothed `SMOOTHINGS` times, in units of 1/16 each time."""
-    values = [*counts]
+    values = np.array(counts, np.int64)
     for _ in range(SMOOTHINGS):
-        w = [0, 0, *values, 0, 0]
-        values = [w[i] + 4 * w[i + 1] + 6 * w[i + 2] + 4 * w[i + 3] + w[i + 4] for i in range(len(values))]
-    return values
+        values = np.convolve(values, (1, 4, 6, 4, 1), "same")
+    return [int(v) for v in values]
 
 
 def two_modes(counts: Sequence[int]) -> tuple[int, int] | None:

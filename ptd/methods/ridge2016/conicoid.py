@@ -35,24 +35,13 @@ decides on all but this share of its fit has no residual: the seed stays."""
 
 @kernel
 def _gather(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    v: int,
-    centre: int,
-    data: Bool,
-    seen: Int32Array,
-    found: Int32Array,
-    n: int,
-    in_doubt: UInt8,
+    mesh: Mesh, v: int, centre: int, data: Bool, seen: Int32Array, found: Int32Array, n: int, in_doubt: UInt8
 ) -> tuple[int, bool]:
-    """Append the data vertices around v that were not yet seen from the centre; whether a triangle is in doubt.
+    """Append the data vertices around v that were not yet seen from the centre to the n found before.
 
-    Returns
-    -------
-    n : int
-        Entries of `found`.
-    unsure : bool
+    How many are found now, and whether a triangle around v is in doubt.
     """
+    vertices, triangles = mesh
     unsure = False
     start = vertices[4 * v + 3]
     edge = np.int64(8) * start
@@ -122,7 +111,7 @@ def _statistics(
     mesh: Mesh, n_vertices: int, data: Bool, in_doubt: UInt8, length: float
 ) -> tuple[Float64, Float64, Int32Array, Bool]:
     """Normalised residual (0: cannot be judged), residual in vertical counts, n and doubt of each data vertex."""
-    vertices, triangles = mesh
+    vertices = mesh[0]
     statistic, residual = np.zeros(n_vertices), np.zeros(n_vertices)
     observations, unsure = np.zeros(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
     seen = np.full(n_vertices, -1, np.int32)
@@ -132,9 +121,9 @@ def _statistics(
         if not data[v]:
             continue
         seen[v] = v
-        m, unsure[v] = _gather(vertices, triangles, v, v, data, seen, found, 0, in_doubt)
+        m, unsure[v] = _gather(mesh, v, v, data, seen, found, 0, in_doubt)
         for k in range(m):
-            m, doubtful = _gather(vertices, triangles, found[k], v, data, seen, found, m, in_doubt)
+            m, doubtful = _gather(mesh, found[k], v, data, seen, found, m, in_doubt)
             unsure[v] = unsure[v] or doubtful
         observations[v] = m + 1
         if m < MIN_NEIGHBOURS:

@@ -19,7 +19,7 @@ from ptd.ground.labelling import is_terrain
 from ptd.kernel import kernel, wide
 from ptd.methods.ridge2016.sorted_cells import Stacks
 from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Int32Array, Mesh, is_ghost
+from ptd.tin.layout import Mesh, is_ghost
 from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
@@ -66,15 +66,9 @@ def _test_stacks(
 
 
 @kernel
-def _same_corners(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    t: int,
-    others: Int32Array,
-    other_triangles: Int32Array,
-    u: int,
-) -> bool:
+def _same_corners(mesh: Mesh, t: int, other: Mesh, u: int) -> bool:
     """Whether a triangle has the same corners, heights included, as one of another TIN; ghosts have not."""
+    (vertices, triangles), (others, other_triangles) = mesh, other
     if is_ghost(triangles, t) or is_ghost(other_triangles, u):
         return False
     mine, found = canonical_facet(vertices, triangles, t), canonical_facet(others, other_triangles, u)
@@ -122,7 +116,6 @@ def _tally(
     now : int32 [triangles of that]
         -1; receives the number that a triangle has now, -2 for those found changed.
     """
-    before, before_triangles = last
     vertices, triangles = mesh
     x, y, z = points
     home, again, terrain = labelled
@@ -131,7 +124,7 @@ def _tally(
         h = wide(home[i])
         if h >= 0 and not again[i] and now[h] == -1:
             t = locate(vertices, triangles, x[i], y[i], t)
-            same = _same_corners(before, before_triangles, h, vertices, triangles, t)
+            same = _same_corners(last, h, mesh, t)
             now[h] = t if same else -2
         if h >= 0 and not again[i] and now[h] >= 0:
             t = wide(now[h])
