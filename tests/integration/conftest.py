@@ -77,6 +77,22 @@ def bucket() -> Iterator[Any]:
         s3fs.S3FileSystem.clear_instance_cache()
 
 
+class Here:
+    """Instead of `tiler.schedule.Guard`: what is called is done in this process."""
+
+    def __init__(self, memory_bytes: int) -> None:
+        """Limit nothing."""
+
+    def __enter__(self) -> Here:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End nothing."""
+
+    def call(self, function: Any, *arguments: Any, seconds: float) -> Any:
+        return function(*arguments)
+
+
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands that start a process for what they read do it here: hundreds would take minutes."""
@@ -84,6 +100,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     def here(guard: Any, function: Any, *arguments: Any, **named: Any) -> Any:
         return function(*arguments, **named)
 
+    monkeypatch.setattr("tiler.schedule.isolated_reading.Guard", Here)
     for module in ("tiler.apps.preview", "tiler.apps.classify"):
         monkeypatch.setattr(f"{module}.read_guarded", here)
     for module in ("classify", "preview", "evaluate"):

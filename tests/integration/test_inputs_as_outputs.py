@@ -15,7 +15,10 @@ from tests.invariants.runs import do
 from tests.scenes.folders import content
 from tiler.errors import ConfigError
 
-pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+pytestmark = [
+    pytest.mark.usefixtures("in_this_process"),
+    pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning"),
+]
 
 
 @pytest.fixture
@@ -138,7 +141,6 @@ def test_evaluate_and_check(cloud: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert content(tmp_path).items() >= before.items()
 
 
-@pytest.mark.usefixtures("in_this_process")
 def test_what_commands_name_themselves_replaces_no_other_file(
     cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
