@@ -5,13 +5,7 @@ import pytest
 import shapely
 from scipy import ndimage
 
-from tiler.export.contour_lines import (
-    Joiner,
-    contour_block,
-    default_interval,
-    smoothed,
-    smoothing_reach,
-)
+from tiler.export.contour_lines import Joiner, contour_block, default_interval, smoothed, smoothing_reach
 
 
 def lines_of(heights, size, interval=Fraction(1), sigma=0.0, most_held=10**6):

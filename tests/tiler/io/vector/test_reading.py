@@ -43,9 +43,7 @@ def test_geojson(tmp_path: Path) -> None:
     path.write_text(json.dumps(content))
     found = read_features(path, POLYGONS)
     assert found.crs == "EPSG:4326"
-    assert [shapely.equals(f.geometry, g) for f, g in zip(found.features, (TRIANGLE, BOTH), strict=True)] == [
-        True
-    ] * 2
+    assert shapely.equals([f.geometry for f in found.features], [TRIANGLE, BOTH]).all()
     content["crs"] = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}
     path.write_text(json.dumps(content))
     assert read_features(path, POLYGONS).crs == "EPSG:25832"
@@ -98,10 +96,8 @@ def test_several_layers(tmp_path: Path) -> None:
     path = write(tmp_path / "a.gpkg", [TRIANGLE], "Polygon")
     write(path, [WALL], "LineString Z", layer="flow")
     assert len(read_features(path, LINES).features) == 1
-    assert [f.place for f in read_features(path, LINES_AND_POLYGONS, every_layer=True).features] == [
-        f"{path}: l0, feature 1",
-        f"{path}: flow, feature 1",
-    ]
+    both = read_features(path, LINES_AND_POLYGONS, every_layer=True).features
+    assert [f.place for f in both] == [f"{path}: l0, feature 1", f"{path}: flow, feature 1"]
     with pytest.raises(
         InputError, match=r"needs one layer of lines or polygons, has 2 \(l0 \(Polygon\), flow \("
     ):
@@ -112,6 +108,7 @@ def polygon(*places: list[object]) -> str:
     return json.dumps(collection({"type": "Polygon", "coordinates": [places]}))
 
 
+POINT = {"type": "Point", "coordinates": [1, 2]}
 ODD_CRS = {**json.loads(polygon(*SQUARE)), "crs": {"properties": {"name": "no CRS"}}}
 VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>"
 
@@ -123,16 +120,8 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
         ("a.geojson", "{", "not valid GeoJSON"),
         ("a.json", "[]", r"not valid GeoJSON \(holds no object\); write polygons as features"),
         ("a.json", json.dumps(collection()), "holds no polygons"),
-        (
-            "a.json",
-            json.dumps({"type": "FeatureCollection", "features": [7]}),
-            "feature 1: is no GeoJSON Feature",
-        ),
-        (
-            "a.json",
-            json.dumps(collection({"type": "Point", "coordinates": [1, 2]})),
-            r"has 0 \(a \(Point\)\)",
-        ),
+        ("a.json", json.dumps({**collection(), "features": [7]}), "feature 1: is no GeoJSON Feature"),
+        ("a.json", json.dumps(collection(POINT)), r"has 0 \(a \(Point\)\)"),
         ("a.json", polygon([1, 2], [3, "x"], [5, 6]), "feature 1: its geometry is damaged"),
         ("a.json", polygon([1, 2], [3, 4]), "feature 1: holds no place; draw it wider"),
         ("a.json", polygon([1, 2], [3, 4], [5, float("inf")], [1, 2]), "damaged|that is no number"),
@@ -166,10 +155,8 @@ def test_files_that_are_not_whole(tmp_path: Path) -> None:
         base.execute("UPDATE l0 SET geom = substr(geom, 1, 60) WHERE fid = 2")
     base.close()
     found = read_features(path, POLYGONS)
-    assert (len(found.features), found.notes) == (
-        1,
-        (f"{path}: l0: 1 features without a geometry, or with a damaged one, are left out",),
-    )
+    left = "1 features without a geometry, or with a damaged one, are left out"
+    assert (len(found.features), found.notes) == (1, (f"{path}: l0: {left}",))
 
 
 def test_what_is_written_is_read_and_has_the_same_bytes(tmp_path: Path) -> None:
@@ -182,16 +169,13 @@ def test_what_is_written_is_read_and_has_the_same_bytes(tmp_path: Path) -> None:
             assert path.exists() == bool(digests)
         digests.add(hashlib.sha256(path.read_bytes()).hexdigest())
         with sqlite3.connect(path) as base:
-            assert base.execute("SELECT last_change FROM gpkg_contents").fetchall() == [
-                ("2000-01-01T00:00:00.000Z",)
-            ]
+            times = base.execute("SELECT last_change FROM gpkg_contents").fetchall()
         base.close()
+        assert times == [("2000-01-01T00:00:00.000Z",)]
     assert len(digests) == 1
     found = read_features(path, LINES)
-    assert (found.crs, [f.attributes for f in found.features]) == (
-        "EPSG:25832",
-        [{"elevation": 0.5, "name": "x"}, {"elevation": 1.5, "name": "x"}],
-    )
+    assert found.crs == "EPSG:25832"
+    assert [f.attributes for f in found.features] == [{"elevation": z, "name": "x"} for z in (0.5, 1.5)]
     assert [p.name for p in tmp_path.iterdir()] == ["a.gpkg"]
     with contextlib.suppress(ZeroDivisionError), geopackage(path, None) as file:
         file.add("other", "LineString", [WALL], {})
@@ -209,11 +193,6 @@ def test_two_gdals_in_one_process(tmp_path: Path) -> None:
     )
     for order in (lines, lines[::-1]):
         script = "\n".join([*order, "print(p(), *numpy.round(r(), 4).ravel(), p())"])
-        done = subprocess.run(
-            [sys.executable, "-W", "error", "-c", script],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
+        command = [sys.executable, "-W", "error", "-c", script]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
         assert (done.stdout.split(), done.stderr) == (["EPSG:25832", "9.0", "48.753", "EPSG:25832"], "")
