@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -39,17 +40,12 @@ class DensityMap:
         cells = np.concatenate([np.empty((0, 2), np.int64), *(c for c, _ in parts)])
         weights = np.concatenate([np.empty(0), *(w for _, w in parts)])
         self._cells, self._held = _gathered(cells, weights)
-        self._fullest: dict[float, float] = {}
-        self._squares: dict[tuple[float, ...], float] = {}
+        # A plan asks for few sides, and for each of them often; a run for the same squares whenever it writes run.json.
+        self.fullest = cache(self._fullest)
+        self.squares = cache(self._squares)
 
-    def squares(self, side_m: float, low: Sequence[float], high: Sequence[float]) -> float:
+    def _squares(self, side_m: float, low: tuple[float, float], high: tuple[float, float]) -> float:
         """About how many squares of that side, on a lattice anchored at 0, hold points between two corners, metres."""
-        asked = (side_m, *low, *high)
-        if asked not in self._squares:  # a run asks for the same ones whenever it writes run.json
-            self._squares[asked] = self._count_squares(side_m, low, high)
-        return self._squares[asked]
-
-    def _count_squares(self, side_m: float, low: Sequence[float], high: Sequence[float]) -> float:
         inside = np.all((self._cells + 1) * self._cell > low, axis=1) & np.all(
             self._cells * self._cell < high, axis=1
         )
@@ -63,13 +59,8 @@ class DensityMap:
         _, found = _gathered(np.concatenate(corners).astype(np.int64), np.tile(held, 4))
         return float(np.minimum(found, 1.0).sum())
 
-    def fullest(self, side_m: float) -> float:
+    def _fullest(self, side_m: float) -> float:
         """About how many points the fullest square of that side holds."""
-        if side_m not in self._fullest:  # a plan asks for few sides, and for each of them often
-            self._fullest[side_m] = self._find_fullest(side_m)
-        return self._fullest[side_m]
-
-    def _find_fullest(self, side_m: float) -> float:
         if side_m <= self._cell:
             return float(self._held.max(initial=0.0)) * (side_m / self._cell) ** 2
         # Squares of whole cells, on four lattices that are half a square apart; the rest by area.

@@ -49,7 +49,8 @@ def pixels_of(plan: Plan) -> Pixels:
     corners = [v * metres for v in plan.extent.to_json()]
 
     def near(side_m: float) -> float:
-        return plan.density_map.squares(side_m, corners[:2], corners[2:]) * (side_m / resolution) ** 2
+        west, south, east, north = corners
+        return plan.density_map.squares(side_m, (west, south), (east, north)) * (side_m / resolution) ** 2
 
     filled = min(near(BLOCK_PIXELS * resolution) or whole, whole)
     if plan.config.sheets is None:

@@ -18,10 +18,10 @@ from tiler.stages.changed_outputs import take_back_spoilt
 from tiler.stages.corrections import Corrections
 from tiler.stages.drawn_tasks import drawn_tasks
 from tiler.stages.file_tasks import (
-    Inputs,
     classified_tasks,
     cog_tasks,
     index_tasks,
+    inputs_of,
     legend_tasks,
     mosaic_tasks,
 )
@@ -46,7 +46,7 @@ def export(
     """Write the files that people open: rasters, vectors, classified clouds."""
     out = job.products
     digest = digest_of(sorted(source.content for source in sources))
-    tasks = [*cog_tasks(gridding, Inputs.of(sources, spooled), digest, out), *legend_tasks(gridding, out)]
+    tasks = [*cog_tasks(gridding, inputs_of(sources, spooled), digest, out), *legend_tasks(gridding, out)]
     tasks += drawn_tasks(gridding, out)
     rasters = list(tasks)
     if job.plan.writes_clouds:

@@ -40,27 +40,19 @@ from tiler.stages.raster_table import MODELS, final, raster_table
 from tiler.store import Commits, KeptPiece
 from tiler.version import __version__
 
+Inputs = Mapping[Cell, Collection[str]]
+"""Bucket -> digests of the sources that have points in it."""
 
-@dataclass(frozen=True)
-class Inputs:
-    """What was read: bucket -> digests of the sources that have points in it."""
 
-    of_bucket: Mapping[Cell, Collection[str]]
-
-    @classmethod
-    def of(cls, sources: Iterable[Source], spooled: Commits) -> Inputs:
-        """The inputs of each bucket, from the commits of the pieces."""
-        found: dict[Cell, set[str]] = defaultdict(set)
-        records = by_source(spooled)
-        for source in sources:
-            for record in records.get(source.name, ()):
-                for ix, iy, _ in record["buckets"]:
-                    found[Cell(ix, iy)].add(source.content)
-        return cls(found)
-
-    def digest(self, cells: Iterable[Cell]) -> str:
-        """Digest of the inputs that have points in some buckets."""
-        return digest_of(sorted(set().union(*(self.of_bucket.get(cell, ()) for cell in cells))))
+def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
+    """The inputs of each bucket, from the commits of the pieces."""
+    found: dict[Cell, set[str]] = defaultdict(set)
+    records = by_source(spooled)
+    for source in sources:
+        for record in records.get(source.name, ()):
+            for ix, iy, _ in record["buckets"]:
+                found[Cell(ix, iy)].add(source.content)
+    return found
 
 
 @dataclass(frozen=True)
@@ -83,7 +75,7 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
     The tag of a sheet names the inputs that have points in it, and its digest the blocks that it is made of: another
     input makes new sheets where it lies.
     """
-    cut = [] if g.plan.config.sheets is None else [(s, inputs.digest(s.cells)) for s in sheets(g)]
+    cut = [] if g.plan.config.sheets is None else [(s, _digest(inputs, s.cells)) for s in sheets(g)]
     rasters = raster_table(g.plan.config)
     for name in g.plan.config.exported:
         raster = final(name, g.plan.config)
@@ -115,6 +107,11 @@ def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Itera
                 tags=_tags(g.plan, name, read),
             )
             yield _cog_task(work, seen)
+
+
+def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
+    """Digest of the inputs that have points in some buckets."""
+    return digest_of(sorted(set[str]().union(*(inputs.get(cell, ()) for cell in cells))))
 
 
 def _cog_task(work: WriteCog, blocks: list[list[str]]) -> Task:

@@ -70,6 +70,10 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
     return dict(before.digests)
 
 
+MATCHED = "dim"
+"""Kind of matched clouds: they have holes anywhere, and noise, on water as well."""
+
+
 def kind_of(job: Job) -> str | None:
     """What made the clouds, as the run found it or the user says; None where nobody asked."""
     survey = job.facts.get("statistics", {}).get("survey", {}).get("survey", {})

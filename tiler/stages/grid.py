@@ -25,7 +25,7 @@ from tiler.runs.stage_runner import Join, run_stage
 from tiler.runs.worker import compute
 from tiler.schedule import Task, digest_of
 from tiler.stages.corrections import Corrections, tell_of_pixels
-from tiler.stages.filter import kind_of
+from tiler.stages.filter import MATCHED, kind_of
 from tiler.stages.gridding import Gridding, Raster
 from tiler.stages.raster_table import wanted
 from tiler.stages.raster_tasks import WHOLE
@@ -34,8 +34,8 @@ from tiler.stages.tasks import Assembled
 from tiler.stages.water import find_waters, tell_of_waters
 from tiler.store import Commits, open_store
 
-MATCHED, MATCHED_SURFACE, MATCHED_EROSION = "dim", "median", Fraction(1, 2)
-"""Kind of matched clouds, and how their surface is made unless the user says it: noise is averaged, and the skirts of
+MATCHED_SURFACE, MATCHED_EROSION = "median", Fraction(1, 2)
+"""How the surface of matched clouds is made unless the user says it: noise is averaged, and the skirts of
 walls, which no filter tells from ground, are left out."""
 BLANK_BLOCKS = 256
 """Blocks of an earlier run that one task removes."""

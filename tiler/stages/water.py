@@ -14,7 +14,7 @@ from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
-from tiler.stages.filter import kind_of
+from tiler.stages.filter import MATCHED, kind_of
 from tiler.stages.gridding import Gridding
 from tiler.stages.map_lines import add_rings
 from tiler.stages.raster_tasks import WHOLE
@@ -22,8 +22,6 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 FINDING, STAGE = "water-search", "water"
-MATCHED = "dim"
-"""Kind of matched clouds: they have holes anywhere, and noise on water."""
 CELL_BYTES = 100
 """Of a coarse cell while water is looked for: measured 90."""
 STEEPEST = 1 / 30

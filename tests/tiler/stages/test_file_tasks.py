@@ -12,7 +12,7 @@ from tiler.config import RunConfig
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.plan import Plan, make_plan
-from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks, nodata_of, sheets
+from tiler.stages.file_tasks import Inputs, cog_tasks, inputs_of, mosaic_tasks, nodata_of, sheets
 from tiler.stages.gridding import Gridding
 from tiler.stages.ingest_tasks import Source
 from tiler.stages.tasks import Assembled
@@ -50,7 +50,7 @@ def spooled(first: str, second: str, plan: Plan) -> Inputs:
         "s000000-0": ("", {"buckets": [[0, 0, 3], [1, 0, 1]]}),
         "s000001-0": ("", {"buckets": [[1, 0, 2]]}),
     }
-    return Inputs.of(sources, pieces)
+    return inputs_of(sources, pieces)
 
 
 def test_sheets_lie_on_multiples_of_their_side_and_hold_points(plan: Plan) -> None:
