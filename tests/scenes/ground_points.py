@@ -9,12 +9,8 @@ def scattered(n: int, side: int, seed: int = 3) -> np.ndarray:
     """Points in a square of ``side`` counts, rough terrain."""
     rng = np.random.default_rng(seed)
     xy = rng.integers(0, side, (n, 2))
-    z = (
-        20_000
-        + 4_000 * np.sin(xy[:, 0] / 9_000)
-        + 3_000 * np.cos(xy[:, 1] / 7_000)
-        + rng.integers(-60, 60, n)
-    )
+    z = 20_000 + 4_000 * np.sin(xy[:, 0] / 9_000) + 3_000 * np.cos(xy[:, 1] / 7_000)
+    z += rng.integers(-60, 60, n)
     return np.column_stack((xy, np.round(z))).astype(np.int64)
 
 

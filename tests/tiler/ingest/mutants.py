@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import random
 import struct
 from collections.abc import Iterator
@@ -34,20 +35,8 @@ INTEGERS = {
     "I": (0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 10**6),
     "Q": (0, 1, 2**31, 2**32, 2**62, 2**63, 2**64 - 1),
 }
-DOUBLES = (
-    0.0,
-    -0.0,
-    -1.0,
-    5e-324,
-    1e-300,
-    1e-9,
-    1e300,
-    float("inf"),
-    float("-inf"),
-    float("nan"),
-    1e7,
-    -1e15,
-)
+FINITE = (0.0, -0.0, -1.0, 5e-324, 1e-300, 1e-9, 1e300, 1e7, -1e15)
+DOUBLES = (*FINITE, math.inf, -math.inf, math.nan)
 
 
 @dataclass(frozen=True)
