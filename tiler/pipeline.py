@@ -145,6 +145,11 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
         job.note(
             "this system cannot limit the memory of a process: a worker that needs more than planned is not stopped"
         )
+    if plan.candidate_cell_m and not plan.on_candidates:
+        job.note(
+            f"passes read all points: the store has a candidate for each cell of {float(plan.fine_m):g} m, of which "
+            f"the method's cells of {plan.candidate_cell_m:g} m are not made; --overwrite makes it anew, for these"
+        )
     if is_url(job.products):
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"

@@ -86,6 +86,11 @@ def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScen
     assert found.keys() == {"filter0", *GRID[:2], *GRID[3:], "export", "catalogue"}
 
 
+def test_cells_that_the_store_was_not_made_for_are_told(out: Path, demo: DemoScene) -> None:
+    found = do(list(demo.paths), out, until="filter", parameters={"thin_cell": "0.7"}).summary["notes"]
+    assert any("passes read all points" in text and "0.7 m" in text for text in found)
+
+
 def test_other_classes_to_keep_leave_the_decoding(out: Path, demo: DemoScene) -> None:
     assert again(demo, out, keep_classes="7")["assemble"] > 0
     assert "spool" not in again(demo, out, keep_classes="7,18")

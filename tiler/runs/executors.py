@@ -142,7 +142,7 @@ class Crew:
         return _executor(self._plan, scheduler)
 
     def close(self) -> None:
-        """Release the workers."""
-        for executor in (self._main, self._here):
+        """Release the workers, those that were made last first."""
+        for executor in (self._here, self._main):
             if executor is not None:
                 executor.close()

@@ -81,7 +81,9 @@ class DaskExecutor:
     """
 
     def __init__(self, workers: int, address: str | None = None, limits: Limits | None = None) -> None:
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self._log = logging.getLogger("distributed")
+        self._log_level = self._log.level
+        self._log.setLevel(logging.CRITICAL)  # until `close`: what matters is told by the tasks
         self._run = Run(uuid.uuid4().hex, limits or Limits())
         self._submissions = 0
         self._cluster: Any = None
@@ -102,7 +104,7 @@ class DaskExecutor:
         self.workers = 0
         self._look()
         if self.workers == 0:
-            self._client.close()
+            self.close()
             raise ConfigError(
                 f"--scheduler {address}: it has no workers; start some with `dask worker {address}`"
             )
@@ -231,3 +233,4 @@ class DaskExecutor:
             self._client.close(timeout=CLOSE_SECONDS)
         if self._cluster is not None:
             self._cluster.close(timeout=CLOSE_SECONDS)
+        self._log.setLevel(self._log_level)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -119,6 +120,7 @@ def test_one_worker_is_another_process_too(tmp_path: Path) -> None:
 
 def test_workers_end_in_the_midst_of_their_work(tmp_path: Path) -> None:
     before = set(psutil.Process().children(recursive=True))
+    level = logging.getLogger("distributed").level
     executor = DaskExecutor(2)
     outcomes = executor.run(calls.perform, str(tmp_path), [task(1), task(2, wait=900), task(3, wait=900)])
     next(outcomes)
@@ -126,6 +128,7 @@ def test_workers_end_in_the_midst_of_their_work(tmp_path: Path) -> None:
     assert len(workers) == 3  # and what forks them
     executor.close()
     assert not psutil.wait_procs(workers, timeout=120)[1]
+    assert logging.getLogger("distributed").level == level
 
 
 def test_workers_of_this_machine_open_no_port(two: DaskExecutor, tmp_path: Path) -> None:
