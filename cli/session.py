@@ -54,13 +54,21 @@ def shown_progress() -> Iterator[Listener]:
 
 
 class TilerCommand(click.Command):
-    """A command with -v and -q, and with --progress where it shows some, which sets up the log before it runs."""
+    """A command with -v and -q, and with --progress where it shows some, which sets up the log before it runs.
+
+    What reads clouds for one that ``reads`` some starts beside it, while it imports its own libraries.
+    """
 
     def __init__(
-        self, *arguments: Any, resumes: bool = False, progress: bool = False, **settings: Any
+        self,
+        *arguments: Any,
+        resumes: bool = False,
+        progress: bool = False,
+        reads: bool = False,
+        **settings: Any,
     ) -> None:
         super().__init__(*arguments, **settings)
-        self._resumes = resumes
+        self._resumes, self._reads = resumes, reads
         if progress:
             self._add(
                 "--progress",
@@ -86,7 +94,12 @@ class TilerCommand(click.Command):
         session = ctx.ensure_object(Session)
         session.resumes = self._resumes
         set_up_logging(session.verbosity, as_json=session.progress == "json")
-        return super().invoke(ctx)
+        if not self._reads or ctx.params.get("in_process"):
+            return super().invoke(ctx)
+        from tiler.schedule import kept_forking
+
+        with kept_forking("tiler.ingest.sources"):
+            return super().invoke(ctx)
 
 
 def _louder(context: click.Context, parameter: click.Parameter, count: int) -> None:

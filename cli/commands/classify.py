@@ -29,7 +29,7 @@ SETTINGS = (
 )
 
 
-@click.command("classify", cls=TilerCommand, progress=True)
+@click.command("classify", cls=TilerCommand, progress=True, reads=True)
 @click.argument("source", metavar="IN", type=click.Path())
 @click.argument("target", metavar="OUT.laz", type=click.Path())
 @config_options(only=SETTINGS)

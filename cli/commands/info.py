@@ -11,7 +11,7 @@ from cli.output import map_lines, print_facts, print_json, say
 from cli.session import TilerCommand
 
 
-@click.command("info", cls=TilerCommand)
+@click.command("info", cls=TilerCommand, reads=True)
 @click.argument("path", metavar="PATH")
 @json_option
 def command(path: str, as_json: bool) -> None:

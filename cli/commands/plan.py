@@ -11,7 +11,7 @@ from cli.output import print_json, say
 from cli.session import TilerCommand
 
 
-@click.command("plan", cls=TilerCommand)
+@click.command("plan", cls=TilerCommand, reads=True)
 @inputs_argument
 @click.option(
     "-o",

@@ -20,7 +20,7 @@ WITHOUT = (
 """Settings of a run that no preview has."""
 
 
-@click.command("preview", cls=TilerCommand, progress=True)
+@click.command("preview", cls=TilerCommand, progress=True, reads=True)
 @inputs_argument
 @click.option(
     "-o",

@@ -46,7 +46,7 @@ options of the other stages: together they are `tiler run`.
 def job_command(name: str, help: str, until: str) -> click.Command:
     """A command that runs the job of INPUT... and OUT to the end of a stage."""
 
-    @click.command(name, cls=TilerCommand, progress=True, resumes=True, help=help)
+    @click.command(name, cls=TilerCommand, progress=True, resumes=True, reads=True, help=help)
     @inputs_argument
     @out_option
     @config_options()

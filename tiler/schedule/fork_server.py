@@ -18,6 +18,8 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
+from importlib import import_module
 from typing import IO, Any
 
 from tiler.import_path import trusted_path
@@ -30,6 +32,9 @@ SERVES = "fork"
 LARGE_PAGES = "glibc.malloc.hugetlb=1"
 """Has the C library ask for large pages where it allocates: one fault of 2 MiB instead of 512, and short ways to find
 the place of an address. Other C libraries, and systems without such pages, pay no heed."""
+
+_SET_BY_LIBRARIES = "_CURL_CA_BUNDLE"
+"""End of the names of variables that rasterio and pyproj set for themselves when they are imported."""
 
 _SIZE, _CODE = 8, 8
 """Bytes of the length of a request, and of an exit code."""
@@ -91,16 +96,17 @@ class _Server:
                 env=child_environment(),
             )
 
-    def fork(self, request: bytes) -> ForkedChild:
+    def prepare(self, module: str) -> None:
+        """Have it import a module while nobody waits for it; raises OSError where the server is gone."""
+        self._ask((None, b"", pickle.dumps(partial(import_module, module))), [])
+
+    def fork(self, memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
         """Ask for a child; raises OSError where the server is gone."""
         calls, stdin = os.pipe()
         stdout, answers = os.pipe()
         line, theirs = socket.socketpair()
         try:
-            socket.send_fds(
-                self.door, [len(request).to_bytes(_SIZE, "little")], [calls, answers, theirs.fileno()]
-            )
-            self.door.sendall(request)
+            self._ask((memory_bytes, call, pickle.dumps(prepare)), [calls, answers, theirs.fileno()])
         except OSError:
             line.close()
             os.close(stdin)
@@ -112,9 +118,15 @@ class _Server:
             os.close(answers)
         return ForkedChild(self, os.fdopen(stdin, "wb"), os.fdopen(stdout, "rb"), line)
 
+    def _ask(self, what: tuple[int | None, bytes, bytes], files: list[int]) -> None:
+        request = pickle.dumps(what)
+        socket.send_fds(self.door, [len(request).to_bytes(_SIZE, "little")], files)
+        self.door.sendall(request)
+
     def end(self) -> None:
-        """Let it end, once its children are gone."""
+        """End it, whose children are gone."""
         self.door.close()
+        self.process.kill()
         self.process.wait()
 
 
@@ -125,28 +137,42 @@ _kept = 0
 
 def fork_child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
     """A child that may allocate so much; the modules of its first call are imported, and ``prepare`` called, before."""
-    global _server
-    request = pickle.dumps((memory_bytes, call, pickle.dumps(prepare)))
     with _lock:
-        setting = (dict(os.environ), trusted_path(), _folder())
-        old = _server
-        if old is not None and (old.setting != setting or old.process.poll() is not None):
-            _server = None
-            _used(old, 0)
         try:
-            _server = _server or _Server(setting)
-            child = _server.fork(request)
+            child = _current().fork(memory_bytes, call, prepare)
         except OSError:  # it died just now
-            _server = _Server(setting)
-            child = _server.fork(request)
-        _used(_server, 1)
+            _current(anew=True)
+            child = _current().fork(memory_bytes, call, prepare)
+        _used(_current(), 1)
         return child
 
 
+def _current(anew: bool = False) -> _Server:
+    """The server, of this environment and folder; a new one where it is of others, or dead."""
+    global _server
+    # Not the import path: Dask adds a folder for each worker, which is there for nobody.
+    setting = (
+        {name: value for name, value in os.environ.items() if not name.endswith(_SET_BY_LIBRARIES)},
+        _folder(),
+    )
+    old = _server
+    if old is not None and (anew or old.setting != setting or old.process.poll() is not None):
+        _server = None
+        _used(old, 0)
+    _server = _server or _Server(setting)
+    return _server
+
+
 @contextmanager
-def kept_forking() -> Iterator[None]:
-    """Keep the server, once it is there, until the end: children that end one after another share what it imported."""
+def kept_forking(module: str | None = None) -> Iterator[None]:
+    """Keep the server, once it is there, until the end: children that end one after another share what it imported.
+
+    With a module it starts now, and imports that beside what this process does.
+    """
     _keep(1)
+    if module is not None and FORKS:
+        with _lock, suppress(OSError):
+            _current().prepare(module)
     try:
         yield
     finally:
@@ -199,8 +225,9 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
             elif (request := _request(door)) is None:
                 selector.unregister(door)
                 asked = False
-            else:
-                memory_bytes, calls, answers, line = request
+            elif request[1]:
+                memory_bytes, files = request
+                calls, answers, line = files[0], files[1], socket.socket(fileno=files[2])
                 pid = os.fork()
                 if pid == 0:
                     selector.close()
@@ -223,8 +250,8 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
     os._exit(0)
 
 
-def _request(door: socket.socket) -> tuple[int | None, int, int, socket.socket] | None:
-    """Memory, pipes and line of the next child, once what it needs is imported; None when no more are asked for."""
+def _request(door: socket.socket) -> tuple[int | None, list[int]] | None:
+    """Memory, and pipes and line, of the next child (none: only imports were asked for); None at the end of all."""
     size, files, _, _ = socket.recv_fds(door, _SIZE, 3)
     if len(size) < _SIZE:
         return None
@@ -235,11 +262,12 @@ def _request(door: socket.socket) -> tuple[int | None, int, int, socket.socket] 
         request += part
     memory_bytes, call, prepare = pickle.loads(request)  # of the process that started this one
     with suppress(BaseException):  # the child meets it again, and says so
-        pickle.loads(call)
+        if call:
+            pickle.loads(call)
         if (preparation := pickle.loads(prepare)) is not None:
             preparation()
     gc.freeze()  # what is shared is not written to
-    return memory_bytes, files[0], files[1], socket.socket(fileno=files[2])
+    return memory_bytes, files
 
 
 def _become_child(calls: int, answers: int) -> None:
