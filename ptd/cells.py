@@ -138,11 +138,27 @@ def occupied(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
     if n_cells > DENSE_CELLS_PER_POINT * keys.size + 1024:
         found, slot = np.unique(keys, return_inverse=True)
         return found, slot
-    slots = np.zeros(n_cells, np.int64)
-    slots[keys] = 1
-    found = np.flatnonzero(slots)
-    slots[found] = np.arange(found.size)
-    return found, slots[keys]
+    return _occupied_raster(keys, n_cells)
+
+
+@kernel
+def _occupied_raster(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
+    """`occupied` by way of a raster."""
+    slots = np.full(n_cells, -1, np.int32)
+    for key in keys:
+        slots[key] = 0
+    n = 0
+    for k in range(n_cells):
+        if slots[k] == 0:
+            slots[k] = n
+            n += 1
+    found, slot = np.empty(n, np.int64), np.empty(keys.size, np.int64)
+    for k in range(n_cells):
+        if slots[k] >= 0:
+            found[slots[k]] = k
+    for i in range(keys.size):
+        slot[i] = slots[keys[i]]
+    return found, slot
 
 
 class CellTable(NamedTuple):

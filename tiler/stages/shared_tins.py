@@ -15,14 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.lattice import Cell
-from tiler.core.raster import Block
+from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.grid import GridBlock, GridBlocks, grid_blocks, most_of_bucket
 from tiler.plan import Plan
 from tiler.plan.memory import GROUND_BYTES, JOINED_BYTES
 from tiler.schedule import Task
 
-PIXEL_BYTES = 50
-"""Per pixel of the blocks of a task: heights and marks, and what finds them."""
+MOST_PIXELS = 16 * BLOCK_PIXELS**2
+"""Of a task: they take 13 bytes each, which is little beside the base of a worker."""
 TASKS_PER_WORKER = 4
 """Tasks are divided for the sake of workers that would wait for others until there are so many."""
 WORTH_DIVIDING = 0.95
@@ -34,18 +34,24 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Group:
-    """Blocks of a task and buckets of its window, indices of both; its cost: points, and pixels reckoned as points."""
+    """Blocks of a task and buckets of its window, indices of both; what there is to do: points and pixels."""
 
     blocks: Ints
     buckets: Ints
-    cost: int
+    points: int
+    pixels: int
+
+    @property
+    def cost(self) -> int:
+        """Points and a quarter of the pixels: a pixel takes less time than a vertex."""
+        return self.points + self.pixels // 4
 
 
 def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: int) -> list[Task]:
     """Tasks of blocks of the terrain as few tasks with one TIN each, those with most to do first.
 
-    As many as the memory of a worker asks for, and as keep all workers at work to the end. Natural neighbours at the
-    hull depend on the window, so that such blocks stay alone.
+    As many as the memory of a worker asks for, and as keep all workers at work to the end. Blocks of other
+    interpolations stay alone: natural neighbours at the hull depend on the window, and IDW takes much memory a pixel.
 
     Parameters
     ----------
@@ -56,7 +62,7 @@ def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: 
         Of single blocks.
     workers : int
     """
-    if len(tasks) < 2 or plan.config.interpolation == "natural":
+    if len(tasks) < 2 or plan.config.interpolation != "linear":
         return list(tasks)
     survey = _Survey(plan, records, [task.arguments for task in tasks])
     groups = _busy(survey, _fitting(survey, min(plan.block_points, JOINED_BYTES // GROUND_BYTES)), workers)
@@ -74,16 +80,20 @@ def _joined(parts: Sequence[Task]) -> Task:
 
 
 def _fitting(survey: _Survey, most: int) -> list[_Group]:
-    """Groups of no more than ``most`` cost, or of one block; none has more between its blocks than around them."""
+    """Groups of at most so many points, or of one block; none has more between its blocks than around them."""
     found, todo = [], [survey.whole()]
     while todo:
         group = todo.pop()
         halves = survey.halves(group)
-        if halves and (group.cost > most or _total(halves) < group.cost):
+        if halves and (_too_large(group, most) or _total(halves) < group.cost):
             todo += halves
         else:
             found.append(group)
     return found
+
+
+def _too_large(group: _Group, most: int) -> bool:
+    return group.points > most or group.pixels > MOST_PIXELS
 
 
 def _busy(survey: _Survey, groups: list[_Group], workers: int) -> list[_Group]:
@@ -148,5 +158,4 @@ class _Survey:
         index, cells = self._buckets.index_of, self._cells[buckets]
         low, high = (index(window.x0), index(window.y0)), (index(window.x1 - 1), index(window.y1 - 1))
         near = buckets[((cells >= low) & (cells <= high)).all(axis=1)]
-        pixels = height * width * PIXEL_BYTES // GROUND_BYTES
-        return _Group(blocks, near, int(self._points[near].sum()) + pixels)
+        return _Group(blocks, near, int(self._points[near].sum()), height * width)

@@ -63,10 +63,16 @@ def test_two_workers_share_the_work_along_the_line_that_halves_it() -> None:
     assert sorted((one, two), key=len) == [west, [key for key in one + two if key not in west]]
 
 
-def test_blocks_far_apart_and_natural_neighbours_stay_alone() -> None:
+def test_blocks_far_apart_and_other_interpolations_stay_alone() -> None:
     far = [Block(0, 0, 512, 512), Block(1024, 1024, 512, 76)]
     assert len(joined_blocks(plan(), RECORDS, tasks(far), 1)) == 2
-    assert len(joined_blocks(plan(interpolation="natural"), RECORDS, tasks(), 2)) == 9
+    for how in ("natural", "idw"):
+        assert len(joined_blocks(plan(interpolation=how), RECORDS, tasks(), 2)) == 9
+
+
+def test_a_task_has_no_more_pixels_than_the_memory_is_planned_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tiler.stages.shared_tins.MOST_PIXELS", 2 * 512 * 512)
+    assert len(joined_blocks(plan(), RECORDS, tasks(), 1)) >= 3
 
 
 def perform(_: str, task: Task) -> Outcome:
