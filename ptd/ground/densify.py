@@ -91,17 +91,11 @@ def _test_round(
 
 @kernel
 def _insert_points(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
-    x: Int32,
-    y: Int32,
-    z: Int32,
-    home: Int32,
-    chosen: Int32,
-    stamp: int,
+    mesh: Mesh, counters: Int32Array, points: Xyz, home: Int32, chosen: Int32, stamp: int
 ) -> None:
     """Insert the chosen points; `home` holds a triangle near each, or -1."""
+    vertices, triangles = mesh
+    x, y, z = points
     hint = wide(0)
     for k in range(chosen.size):
         i = chosen[k]
@@ -112,14 +106,7 @@ def _insert_points(
 
 
 def densify(
-    tin: Tin,
-    x: Int32,
-    y: Int32,
-    z: Int32,
-    state: UInt8,
-    limits: Limits,
-    rounds: int,
-    doubt: Doubt,
+    tin: Tin, points: Xyz, state: UInt8, limits: Limits, rounds: int, doubt: Doubt
 ) -> tuple[npt.NDArray[np.bool_], int]:
     """Batch rounds until nothing passes any more, or `rounds` of them.
 
@@ -129,8 +116,8 @@ def densify(
     ----------
     tin : Tin
         Holds the seeds, each triangle stamped 0, with room for all candidates; densified in place.
-    x, y, z : int32 [n]
-        Candidates, local counts; neighbours in the array near each other.
+    points : Xyz
+        Candidates; neighbours in the arrays near each other.
     state : uint8 [n]
         `WAITING`, `VERTEX` or `REFUSED`; updated.
     limits : Limits
@@ -145,21 +132,21 @@ def densify(
     rounds : int
         How many were run.
     """
-    home = np.full(x.size, -1, np.int32)
-    doubtful = np.zeros(x.size, np.bool_)
-    candidates = _Candidates(state, home, np.zeros(x.size, np.bool_), doubtful)
-    room = np.empty(x.size, np.int32)
+    n_points = points.x.size
+    home, room = np.full(n_points, -1, np.int32), np.empty(n_points, np.int32)
+    doubtful = np.zeros(n_points, np.bool_)
+    candidates = _Candidates(state, home, np.zeros(n_points, np.bool_), doubtful)
     stamp = 0
     while rounds == 0 or stamp < rounds:
         stamp += 1
         in_doubt = doubt.triangles(tin)
-        n = _test_round(tin.mesh, Xyz(x, y, z), candidates, in_doubt, limits, stamp, room)
-        spread = doubt.add_points(x, y, doubtful)
+        n = _test_round(tin.mesh, points, candidates, in_doubt, limits, stamp, room)
+        spread = doubt.add_points(points.x, points.y, doubtful)
         if n == 0 and not spread:
             break
         chosen = room[:n]
         state[chosen] = VERTEX
-        _insert_points(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, home, chosen, stamp)
+        _insert_points(tin.mesh, tin.counters, points, home, chosen, stamp)
     return doubtful, stamp
 
 
@@ -203,5 +190,5 @@ def densify_seeds(
     state[seeds.chosen] = VERTEX
     first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
     tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
-    _, run = densify(tin, x, y, z, state, limits, rounds, doubt)
+    _, run = densify(tin, points, state, limits, rounds, doubt)
     return tin, doubt.triangles(tin), run

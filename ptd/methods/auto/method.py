@@ -54,11 +54,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from ptd.cells import Xyz
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.blocks import blocks
 from ptd.ground.certificates import Doubt
@@ -99,14 +99,17 @@ class Auto(AutoParameters):
             DensifyPass(self),
             RefinePass(self, reach_m=(self.refine_reach + 1) * cell),
             *(
-                RoofPass(
-                    self, name, again=step_m == before_m, step_m=step_m, reach_m=(self.roof_reach + 1) * cell
-                )
-                for name, (before_m, step_m) in zip(ROOF_PASSES, pairwise((0.0, *ROOF_STEPS_M)), strict=True)
+                self._roof_pass(*steps)
+                for steps in zip(ROOF_PASSES, (0.0, *ROOF_STEPS_M), ROOF_STEPS_M, strict=False)
             ),
             LabelPass(self),
             *matched.PASSES,
         )
+
+    def _roof_pass(self, name: str, before_m: float, step_m: float) -> RoofPass:
+        again, title = step_m == before_m, f"take out roofs with edges of {step_m:g} m"
+        reach_m = (self.roof_reach + 1) * self.thin_cell_m
+        return RoofPass(self, again, step_m, name, title + ", again" * again, reach_m)
 
 
 @dataclass(frozen=True)
@@ -178,7 +181,7 @@ class DensifyPass(LaserPass):
             tin, doubt = first_tin(x, y, z, seed, known, scale)
             rest = np.where(codes == OUTLIER, np.uint8(REFUSED), np.uint8(WAITING))
             todo = np.where(seed, np.uint8(VERTEX), rest)
-            doubtful, rounds = densify(tin, x, y, z, todo, p.limits(scale), p.rounds, doubt)
+            doubtful, rounds = densify(tin, Xyz(x, y, z), todo, p.limits(scale), p.rounds, doubt)
             codes = np.where((todo == VERTEX) & ~seed, np.uint8(DENSIFIED), codes)
         stats = {"rounds": rounds, "densified": int((codes == DENSIFIED).sum())}
         return CellCodes(x, y, codes, cells, known, stats, doubtful)
@@ -221,16 +224,12 @@ class RoofPass(LaserPass):
     """Surfaces of ground above all that is seen around them are roofs."""
 
     params: Auto
-    name: str = "roofs"
+    again: bool
+    step_m: float
+    name: str
+    title: str
+    reach_m: float | None
     columns: tuple[str, ...] = ("labels",)
-    reach_m: float | None = None
-    again: bool = False
-    step_m: float = ROOF_STEPS_M[0]
-
-    @property
-    def title(self) -> str:  # type: ignore[override]
-        """With the step that a roof has at its edge."""
-        return f"take out roofs with edges of {self.step_m:g} m" + (", again" if self.again else "")
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Look around each connected surface."""
@@ -269,7 +268,7 @@ class LabelPass(LaserPass):
             return found
         tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale)
         todo = np.where(ground, VERTEX, np.where(low | (codes == ROOF), REFUSED, WAITING)).astype(np.uint8)
-        densify(tin, x, y, z, todo, p.limits(scale, REGROWTH), 1, doubt)
+        densify(tin, Xyz(x, y, z), todo, p.limits(scale, REGROWTH), 1, doubt)
         s = label_thresholds(p, state["survey"])
         floor, per_slope = scale.counts(s.label_floor_m), scale.counts(s.label_slope_m)
         rule = GroundRule(p.limits(scale), floor, heights_only=True, per_slope=per_slope)

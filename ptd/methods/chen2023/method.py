@@ -61,7 +61,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import lowest_per_cell, positions
+from ptd.cells import Xyz, lowest_per_cell, positions
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.certificates import Doubt
 from ptd.ground.densify import REFUSED, VERTEX, densify
@@ -154,7 +154,7 @@ class ChenModel(TinLabels):
             seeds[noise] = False
             tin = _triangulate(x, y, z, seeds, ring)
         state = np.where(outlier, REFUSED, np.where(seeds, VERTEX, 0)).astype(np.uint8)
-        _, rounds = densify(tin, x, y, z, state, limits, p.rounds, doubt)
+        _, rounds = densify(tin, Xyz(x, y, z), state, limits, p.rounds, doubt)
         floor = scale.counts(p.label_floor_m) if p.label_pass else 0.0
         self.finish(tin, doubt.triangles(tin), GroundRule(limits, floor, vertices_only=not p.label_pass))
         self.stats.update(rounds=rounds)

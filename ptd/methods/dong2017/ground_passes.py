@@ -87,17 +87,13 @@ class Measurement(Pass):
     """Step 6: distances and angles of the ground found so far to a TIN of one point per cell."""
 
     params: Dong2017Parameters
-    name: str
     spacing_m: float
+    name: str
+    title: str
     reach_m: float | None
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
     gives_labels: bool = False
-
-    @property
-    def title(self) -> str:  # type: ignore[override]
-        """With the spacing."""
-        return f"measure distances to a TIN of {self.spacing_m:g} m"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         """Count the ground points of the core that are no vertices."""
@@ -123,17 +119,13 @@ class Measurement(Pass):
 class Densification(Pass):
     """Step 6: points that pass in one of several TINs of one density."""
 
-    name: str
     stage: Stage
     last: bool
+    name: str
+    title: str
     halo_m: float | None
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
-
-    @property
-    def title(self) -> str:  # type: ignore[override]
-        """With the spacing."""
-        return f"densify a TIN of {self.stage.cell_m:g} m"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
         """Build the TINs."""

@@ -137,11 +137,13 @@ class Dong2017(Dong2017Parameters):
 
     def _measurement(self, spacing_m: float, again: str = "") -> Pass:
         reach_m = (2 * MEASURED_CELLS + 1) * spacing_m + SLACK_M
-        return Measurement(self, f"measure-{spacing_m:g}m{again}", spacing_m, reach_m)
+        name, title = f"measure-{spacing_m:g}m{again}", f"measure distances to a TIN of {spacing_m:g} m"
+        return Measurement(self, spacing_m, name, title, reach_m)
 
     def _densification(self, spacing_m: float, again: str = "", last: bool = False) -> Pass:
         stage = Stage.of_ground(spacing_m, self.tins)
-        return Densification(f"densify-{spacing_m:g}m{again}", stage, last, stage.reach_m)
+        name, title = f"densify-{spacing_m:g}m{again}", f"densify a TIN of {spacing_m:g} m"
+        return Densification(stage, last, name, title, stage.reach_m)
 
     @property
     def first_stage(self) -> Stage:

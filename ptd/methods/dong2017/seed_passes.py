@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, lowest_per_cell
+from ptd.cells import Int32, lowest_per_cell, positions
 from ptd.frame import Cells, Scale, Window
 from ptd.ground import roughness
 from ptd.ground.distance_angle import Bool
@@ -139,20 +139,20 @@ class SeedModel(Model):
             inside = facades.points()
             self._facade_points = int(core.has(x[inside], y[inside]).sum())
             chosen = _seeds(params, facades, scale, state["sigma_m"])
-        self._seeds = {tuple(v) for v in np.stack([x, y, z], axis=1)[chosen].tolist()}
+        self._seeds = np.unique(np.stack([x, y, z])[:, chosen], axis=1)
         self._own = int(core.has(x[chosen], y[chosen]).sum())
-        self.stats = {"seeds": len(self._seeds), "facade_cells": int(facades.holds.sum()) if x.size else 0}
+        self.stats = {
+            "seeds": self._seeds.shape[1],
+            "facade_cells": int(facades.holds.sum()) if x.size else 0,
+        }
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Vegetation, seeds, the rest."""
-        x, y, z = points.columns()
+        x, y, _ = points.columns()
         labels = np.full(x.size, UNCLASSIFIED, np.uint8)
-        if self._seeds:
-            seeds = np.array(sorted(self._seeds), np.int32).T
-            at = np.flatnonzero(np.isin(x, seeds[0]) & np.isin(y, seeds[1]) & np.isin(z, seeds[2]))
-            for i in at:
-                if (int(x[i]), int(y[i]), int(z[i])) in self._seeds:
-                    labels[i] = GROUND
+        at = np.flatnonzero(np.isin(positions(x, y), positions(*self._seeds[:2])))
+        same = points.xyz[:, at, None] == self._seeds[:, None, :]
+        labels[at[same.all(axis=0).any(axis=1)]] = GROUND
         labels[_green(points, self.green)] = VEGETATION
         return labels, np.zeros(len(points), np.bool_)
 

@@ -82,10 +82,12 @@ class Dong2018(Dong2018Parameters):
     @property
     def passes(self) -> tuple[Pass, ...]:
         """Measure noise and density, stage one, then measure and join at each scale."""
-        last = len(self.scales_m) - 1
-        scales = ((MeasurePass(self, k), JoinPass(self, k, k == last)) for k in range(last + 1))
-        own = (NoisePass(self), StageOnePass(self), *(step for pair in scales for step in pair))
-        return either_way(own, self.classic().passes, STAGE_ONE_ALONE) if self.robust_cells else own
+        own: list[Pass] = [NoisePass(self), StageOnePass(self)]
+        for m in self.scales_m:
+            own.append(MeasurePass(self, m, f"measure-{m:g}", f"measure distances to a TIN of {m:g} m"))
+            last = m == self.scales_m[-1]
+            own.append(JoinPass(m, last, f"join-{m:g}", f"densify a TIN of {m:g} m"))
+        return either_way(own, self.classic().passes, STAGE_ONE_ALONE) if self.robust_cells else tuple(own)
 
     @property
     def halo_m(self) -> float:

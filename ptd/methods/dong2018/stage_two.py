@@ -27,20 +27,12 @@ class MeasurePass(Pass):
     """Step 4: measure the thresholds of distance and angle at one scale."""
 
     params: Dong2018Parameters
-    index: int
+    scale_m: float
+    name: str
+    title: str
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
     gives_labels: bool = False
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """With the scale."""
-        return f"measure-{self.params.scales_m[self.index]:g}"
-
-    @property
-    def title(self) -> str:  # type: ignore[override]
-        """With the scale."""
-        return f"measure distances to a TIN of {self.params.scales_m[self.index]:g} m"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         """Histogram of the core's ground points that are not in the even TIN."""
@@ -49,7 +41,7 @@ class MeasurePass(Pass):
         x, y, z = points.columns()
         labels = points.known_labels()
         ground = _is_ground(labels)
-        even = EvenTin(x, y, z, ground, self.params.scales_m[self.index], window, scale)
+        even = EvenTin(x, y, z, ground, self.scale_m, window, scale)
         own = core.has(x, y)
         counts = even.histogram(x, y, z, own & even.left_out)
         bins = np.flatnonzero(counts)
@@ -73,8 +65,7 @@ class MeasurePass(Pass):
         return self._decided(counts.reshape(BINS.distances, BINS.angles), joined, ground, state)
 
     def _decided(self, counts: Any, joined: int, ground: int, state: State) -> dict[str, Any]:
-        scale_m, before = self.params.scales_m[self.index], list(state.get("scales", []))
-        lines = []
+        before, lines = list(state.get("scales", [])), []
         if before:
             before[-1] = {**before[-1], "joined": joined}
             lines.append(f"{joined} points joined at the scale of {before[-1]['scale_m']:g} m")
@@ -89,20 +80,26 @@ class MeasurePass(Pass):
             lines.append(f"stage one ended with {density:.3g} points/m2 in the TIN{short}")
         reach = contour_reach(counts, max(self.params.contour_share * float(counts.max()), 1e-9))
         if reach is None:
-            lines.append(f"no ground is left out of the TIN at the scale of {scale_m:g} m: stage two ends")
+            lines.append(
+                f"no ground is left out of the TIN at the scale of {self.scale_m:g} m: stage two ends"
+            )
             return with_notes(state, {"stopped": "no ground left out of the TIN"}, *lines)
         found = {
-            "scale_m": scale_m,
+            "scale_m": self.scale_m,
             "distance_m": round(reach[0] * DISTANCE_BIN_M, 6),
             "angle_deg": round(reach[1] * ANGLE_BIN_DEG, 6),
             "left_out": int(counts.sum()),
         }
-        lines.append(f"scale {scale_m:g} m: {found['distance_m']:.3f} m, {found['angle_deg']:.1f} degrees")
+        lines.append(
+            f"scale {self.scale_m:g} m: {found['distance_m']:.3f} m, {found['angle_deg']:.1f} degrees"
+        )
         if before and found["angle_deg"] <= before[-1]["angle_deg"]:
-            lines.append(f"warning: the angle does not grow at the scale of {scale_m:g} m; the paper's does")
+            lines.append(
+                f"warning: the angle does not grow at the scale of {self.scale_m:g} m; the paper's does"
+            )
         if before and found["distance_m"] >= before[-1]["distance_m"]:
             lines.append(
-                f"warning: the distance does not shrink at the scale of {scale_m:g} m; the paper's does"
+                f"warning: the distance does not shrink at the scale of {self.scale_m:g} m; the paper's does"
             )
         return with_notes(state, {"scales": [*before, found]}, *lines)
 
@@ -111,21 +108,12 @@ class MeasurePass(Pass):
 class JoinPass(Pass):
     """Step 4: add the points below the thresholds of one scale to the ground."""
 
-    params: Dong2018Parameters
-    index: int
+    scale_m: float
     last: bool
+    name: str
+    title: str
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """With the scale."""
-        return f"join-{self.params.scales_m[self.index]:g}"
-
-    @property
-    def title(self) -> str:  # type: ignore[override]
-        """With the scale."""
-        return f"densify a TIN of {self.params.scales_m[self.index]:g} m"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> JoinModel:
         """Build the even TIN again."""
@@ -133,7 +121,7 @@ class JoinPass(Pass):
             return JoinModel(None, 0.0, 0.0, True)
         x, y, z = points.columns()
         ground = _is_ground(points.known_labels())
-        even = EvenTin(x, y, z, ground, self.params.scales_m[self.index], window, scale)
+        even = EvenTin(x, y, z, ground, self.scale_m, window, scale)
         found = state["scales"][-1]
         return JoinModel(even, found["distance_m"], found["angle_deg"], self.last)
 

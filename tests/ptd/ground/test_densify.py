@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ptd.cells import Xyz
 from ptd.frame import Scale
 from ptd.ground.certificates import Doubt
 from ptd.ground.criteria import Limits
@@ -23,7 +24,7 @@ def run(
     x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
     state = np.zeros(x.size, np.uint8)
     doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
-    doubtful, done = densify(tin, x, y, z, state, limits, rounds, doubt)
+    doubtful, done = densify(tin, Xyz(x, y, z), state, limits, rounds, doubt)
     assert not doubtful.any()
     return state == VERTEX, tin, done
 
@@ -84,7 +85,7 @@ def test_refused_candidates_stay_out() -> None:
     x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
     state = np.full(x.size, REFUSED, np.uint8)
     doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
-    assert densify(tin, x, y, z, state, LIMITS, 0, doubt)[1] == 1
+    assert densify(tin, Xyz(x, y, z), state, LIMITS, 0, doubt)[1] == 1
     assert tin.n_vertices == len(seeds)
     assert (state == REFUSED).all()
 
@@ -105,4 +106,4 @@ def test_while_doubt_spreads_there_are_rounds_though_nothing_passes(rounds: int,
     tin = Tin.build(*seeds.T, max_vertices=100)
     x, y, z = (np.array([v], np.int32) for v in (50_000, 50_000, 90_000))
     doubt = Spreading(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
-    assert densify(tin, x, y, z, np.zeros(1, np.uint8), LIMITS, rounds, doubt)[1] == done
+    assert densify(tin, Xyz(x, y, z), np.zeros(1, np.uint8), LIMITS, rounds, doubt)[1] == done

@@ -209,10 +209,10 @@ def measured(angle_bin: int, distance_bin: int) -> list[dict[str, Any]]:
 
 def test_thresholds_that_move_the_other_way_are_said_and_kept() -> None:
     state: dict[str, Any] = {"dense": True, "cells": 1, "threshold_m2": 1.0}
-    state = MeasurePass(DEFAULTS, 0).reduce(measured(10, 5), state)
-    state = MeasurePass(DEFAULTS, 1).reduce(measured(12, 4), state)
+    state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[0], "measure").reduce(measured(10, 5), state)
+    state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[1], "measure").reduce(measured(12, 4), state)
     assert not any("warning" in note for note in state["notes"])
-    state = MeasurePass(DEFAULTS, 2).reduce(measured(8, 7), state)
+    state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[2], "measure").reduce(measured(8, 7), state)
     told = [note.split("warning: ")[1] for note in state["notes"] if "warning" in note]
     assert [words[:17] for words in told] == ["the angle does no", "the distance does"]
     last = state["scales"][-1]
