@@ -30,6 +30,9 @@ _METAVARS = {
     "files": "FILE",
 }
 
+REPEATED = {"pairs": "the method's own", "files": "none"}
+"""Kinds of settings that may be given several times, and their defaults in words."""
+
 
 def config_options(only: Collection[str] | None = None) -> Callable[[Command], Command]:
     """Decorate a command with ``--config`` and an option for each setting, or for those of ``only``.
@@ -103,23 +106,20 @@ def describe_setting(spec: dataclasses.Field[Any]) -> str:
 def _option(spec: dataclasses.Field[Any]) -> Callable[[Command], Command]:
     kind, name = spec.metadata["kind"], spec.name.replace("_", "-")
     help = describe_setting(spec)
-    metavar = _METAVARS.get(kind, spec.name.upper())
     if kind == "flag":
         return click.option(f"--{name}/--no-{name}", spec.name, default=None, help=help)
-    if kind == "pairs":
-        help = f"{help.split(' [')[0]}; repeatable [default: the method's own]"
-        return click.option("--set", spec.name, multiple=True, metavar=metavar, help=help)
-    if kind == "files":
-        help = f"{help.split(' [')[0]}; repeatable [default: none]"
-        return click.option(f"--{name}", spec.name, multiple=True, metavar=metavar, help=help)
-    if kind == "bounds":
-        return click.option(f"--{name}", spec.name, nargs=4, type=float, metavar=metavar, help=help)
-    if kind == "int":
-        return click.option(f"--{name}", spec.name, type=int, metavar=metavar, help=help)
-    if kind == "choice":
-        choice = click.Choice(spec.metadata["choices"])
-        return click.option(f"--{name}", spec.name, type=choice, help=help)
-    return click.option(f"--{name}", spec.name, metavar=metavar, help=help)
+    if kind in REPEATED:
+        help = f"{help.split(' [')[0]}; repeatable [default: {REPEATED[kind]}]"
+    forms: dict[str, dict[str, Any]] = {
+        "pairs": {"multiple": True},
+        "files": {"multiple": True},
+        "bounds": {"nargs": 4, "type": float},
+        "int": {"type": int},
+        "choice": {"type": click.Choice(spec.metadata["choices"])},
+    }
+    metavar = None if kind == "choice" else _METAVARS.get(kind, spec.name.upper())
+    option = "--set" if kind == "pairs" else f"--{name}"
+    return click.option(option, spec.name, metavar=metavar, help=help, **forms.get(kind, {}))
 
 
 inputs_argument = click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")

@@ -37,7 +37,13 @@ def command(template: bool, **settings: Any) -> None:
             "tiler: warning: store: written without the user, password and query of its URL, which tiler never shows",
             error=True,
         )
-    lines = [HEAD, *_preset_lines(config.preset), ""]
+    lines = [HEAD]
+    if name := config.preset:
+        head = (
+            f"# Below, what the preset {name} sets is in effect unless it was overridden. The preset itself:"
+        )
+        lines += ["#", head, *(f"#   {line}".rstrip() for line in preset_text(name).splitlines())]
+    lines.append("")
     for name in (n for n in SETTINGS if n != LAST):
         if template:
             lines.append(f"# {describe_setting(SETTINGS[name])}")
@@ -50,12 +56,9 @@ def command(template: bool, **settings: Any) -> None:
         say(line)
 
 
-def _preset_lines(name: str | None) -> list[str]:
-    """The file of the preset, as it is, behind number signs."""
-    if name is None:
-        return []
-    head = f"# Below, what the preset {name} sets is in effect unless it was overridden. The preset itself:"
-    return ["#", head, *(f"#   {line}".rstrip() for line in preset_text(name).splitlines())]
+HEAD = (
+    "# Settings of tiler, for --config; options of the command line win. What is commented out has no value."
+)
 
 
 def toml_line(name: str, value: Any) -> str:

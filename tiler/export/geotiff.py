@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -75,6 +75,12 @@ class PlainWriter:
         self._raster.update_tags(1, **tags)
 
 
+def tiled_profile(height: int, width: int, transform: Sequence[float]) -> dict[str, Any]:
+    """How rasterio makes a tiled GeoTIFF, BigTIFF if it may pass 4 GB, but for its bands and CRS."""
+    blocks = {"tiled": True, "blockxsize": BLOCK_PIXELS, "blockysize": BLOCK_PIXELS, "BIGTIFF": "IF_SAFER"}
+    return {"driver": "GTiff", "height": height, "width": width, "transform": Affine(*transform), **blocks}
+
+
 @contextmanager
 def plain_geotiff(
     path: Path,
@@ -97,28 +103,15 @@ def plain_geotiff(
         a, b, c, d, e, f of rasterio's ``Affine``; pixels are areas.
     look : RasterLook
     """
-    profile = {
-        "driver": "GTiff",
-        "height": height,
-        "width": width,
-        "count": 1,
-        "dtype": look.dtype,
-        "nodata": look.nodata,
-        "crs": None if look.crs is None else CRS.from_user_input(look.crs),
-        "transform": Affine(*transform),
-        "tiled": True,
-        "blockxsize": BLOCK_PIXELS,
-        "blockysize": BLOCK_PIXELS,
-        "BIGTIFF": "IF_SAFER",
-        "SPARSE_OK": True,
-    }
+    crs = None if look.crs is None else CRS.from_user_input(look.crs)
+    profile = {"count": 1, "dtype": look.dtype, "nodata": look.nodata, "crs": crs, "SPARSE_OK": True}
     if look.colours:
         profile["photometric"] = "palette"
     with (
         any_place(),
         rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
         raster_errors(path),
-        rasterio.open(path, "w", **profile) as raster,
+        rasterio.open(path, "w", **tiled_profile(height, width, transform), **profile) as raster,
     ):
         raster.update_tags(AREA_OR_POINT="Area", **look.tags)
         if look.colours:  # before the first pixel: the header is closed then

@@ -128,6 +128,11 @@ def histogram(accuracy: Mapping[str, Any]) -> str:
         for n, a, b in zip(counts, bounds[:-1], bounds[1:], strict=True)
         if n
     ]
+    figures = accuracy["all"]
+    told = (
+        f"{figures['points']} points, RMSE {figures['rmse']:.3f} {unit}, mean {figures['bias']:+.3f}, "
+        f"median {figures['median']:+.3f}, NMAD {figures['nmad']:.3f}"
+    )
     zero = MARGIN - bounds[0] * across
     parts += [
         f'<line class="axis" x1="{MARGIN}" y1="{base}" x2="{WIDTH - MARGIN}" y2="{base}"/>',
@@ -142,17 +147,9 @@ def histogram(accuracy: Mapping[str, Any]) -> str:
             if t % 1 == 0
         ),
         _text(WIDTH / 2, HEIGHT - 12, title),
-        _text(MARGIN, 22, _summary(accuracy), "start"),
+        _text(MARGIN, 22, told, "start"),
     ]
     return _drawing(WIDTH, HEIGHT, title, parts)
-
-
-def _summary(accuracy: Mapping[str, Any]) -> str:
-    figures, unit = accuracy["all"], accuracy["unit"]
-    return (
-        f"{figures['points']} points, RMSE {figures['rmse']:.3f} {unit}, mean {figures['bias']:+.3f}, "
-        f"median {figures['median']:+.3f}, NMAD {figures['nmad']:.3f}"
-    )
 
 
 def ticks(low: float, high: float) -> list[float]:

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import rasterio
-from affine import Affine
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
@@ -19,7 +18,7 @@ from tiler.apps.cell_sums import summed
 from tiler.core.classes import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
-from tiler.export.geotiff import CACHE_MB, any_place, raster_errors
+from tiler.export.geotiff import CACHE_MB, any_place, raster_errors, tiled_profile
 from tiler.export.picture import write_png
 from tiler.io.partial_files import appearing
 
@@ -182,27 +181,14 @@ def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -
 def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
     west, north, width, height = grid.extent
     side = float(grid.cell)
-    profile = {
-        "driver": "GTiff",
-        "height": height,
-        "width": width,
-        "count": len(BANDS),
-        "dtype": "uint8",
-        "nodata": NONE,
-        "crs": crs,
-        "transform": Affine(side, 0, float(west * grid.cell), 0, -side, float((north + 1) * grid.cell)),
-        "tiled": True,
-        "blockxsize": BLOCK_PIXELS,
-        "blockysize": BLOCK_PIXELS,
-        "compress": "deflate",
-        "BIGTIFF": "IF_SAFER",
-    }
+    transform = (side, 0.0, float(west * grid.cell), 0.0, -side, float((north + 1) * grid.cell))
+    profile = {"count": len(BANDS), "dtype": "uint8", "nodata": NONE, "crs": crs, "compress": "deflate"}
     with (
         any_place(),
         rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
         raster_errors(path),
         appearing(path) as partial,
-        rasterio.open(partial, "w", **profile) as raster,
+        rasterio.open(partial, "w", **tiled_profile(height, width, transform), **profile) as raster,
     ):
         for row in range(0, height, BLOCK_PIXELS):
             rows = min(BLOCK_PIXELS, height - row)
