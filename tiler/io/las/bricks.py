@@ -32,7 +32,12 @@ _AXES = (0, 1, 2)
 
 
 def bricks(
-    pieces: Iterable[Records], count: int, most: int, places: Callable[[Records], Places], folder: str
+    pieces: Iterable[Records],
+    count: int,
+    most: int,
+    places: Callable[[Records], Places],
+    folder: str,
+    key: Key = (0, 0, 0, 0),
 ) -> Iterator[tuple[Key, Records]]:
     """The points of a cloud in cubes of the octree that hold ``most`` points, each cube before its next neighbours.
 
@@ -47,6 +52,8 @@ def bricks(
         Gives the places of records.
     folder : str
         For temporary files, which have no name.
+    key : Key
+        Of the node whose points these are.
 
     Yields
     ------
@@ -55,17 +62,6 @@ def bricks(
     records : Records
         In an order that depends on nothing but the order of the pieces.
     """
-    yield from _bricks((0, 0, 0, 0), pieces, count, most, places, folder)
-
-
-def _bricks(
-    key: Key,
-    pieces: Iterable[Records],
-    count: int,
-    most: int,
-    places: Callable[[Records], Places],
-    folder: str,
-) -> Iterator[tuple[Key, Records]]:
     level, *corner = key
     if count <= most or level == DEEPEST:
         yield key, np.concatenate(list(pieces))
@@ -87,9 +83,8 @@ def _bricks(
             if wanted:
                 x, y, z = (2 * c + (number >> bit & 1) for c, bit in zip(corner, (2, 1, 0), strict=True))
                 held = sum(n for _, n in wanted)
-                yield from _bricks(
-                    (level + 1, x, y, z), _read(spool, wanted, dtype), held, most, places, folder
-                )
+                below = (level + 1, x, y, z)
+                yield from bricks(_read(spool, wanted, dtype), held, most, places, folder, below)
 
 
 def _read(spool: BinaryIO, parts: Iterable[tuple[int, int]], dtype: np.dtype[np.void]) -> Iterator[Records]:
