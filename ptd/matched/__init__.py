@@ -13,6 +13,8 @@ objects
     connected surfaces with walls around them are objects, as a whole.
 surface
     hulls of several curvatures, and the mean of the cells that lie about them.
+surroundings
+    what lies around each cell: sums, shares and slopes.
 growth
     ground up to the edges of terraces and banks.
 voting

@@ -15,10 +15,8 @@
 Gaussian sums over cells are cut off at a fixed radius, so nothing beyond `reach_cells` has a part in the surface.
 """
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +29,7 @@ from ptd.ground.morphology import Bool
 from ptd.matched import growth
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import LOWEST, Hull, hull_below
+from ptd.matched.surroundings import CellsLeft, gaussian_radius, share_radius, slope_radius, smoothed
 
 Float64 = npt.NDArray[np.float64]
 
@@ -78,14 +77,9 @@ Cells of what is terrain as a whole count less: they may be banks."""
 NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02
 """Standard deviation of the surroundings from which noise is taken, its limit in times the run's, and the weight of
 that."""
-SLOPE_SMOOTHED_M, STEEPEST = 2.0, 2.0
 EXTENDED_M = (1.0, 6.0)
 """Beyond its cells the surface goes on as the mean of what is near: standard deviations of the surroundings. Ground is
 within the first alone: farther away a single cell would say where it is below a whole roof."""
-TRUNCATE = 2.0
-"""Standard deviations at which Gaussian sums end."""
-SHARE_BLOCK_M = 4.0
-"""Side of the blocks for which shares of the surroundings are reckoned: they are far smaller than those."""
 
 
 class Surface(NamedTuple):
@@ -103,69 +97,6 @@ class Surface(NamedTuple):
     narrowing: Float64
 
 
-@dataclass(frozen=True)
-class _Cells:
-    """Heights in metres, which cells are there, and their side."""
-
-    height: Float64
-    there: Bool
-    cell_m: float
-
-    @cached_property
-    def near(self) -> Float64:
-        """How much of the surroundings from which slopes are taken holds cells."""
-        return self.smoothed(self.there.astype(np.float64), SLOPE_SMOOTHED_M)
-
-    def mean(self, values: Float64) -> Float64:
-        """Gaussian mean of the values of the cells that are there, as slopes need it; 0 where none is near."""
-        return self.smoothed(np.where(self.there, values, 0.0), SLOPE_SMOOTHED_M) / np.maximum(
-            self.near, 1e-9
-        )
-
-    def around(self, which: Bool | Float64, std_m: float) -> Float64:
-        """Share of all places around each cell that hold a chosen one, by blocks of `SHARE_BLOCK_M`.
-
-        Values instead of choices are summed over these places, with weights that add up to 1.
-        """
-        rows, columns = which.shape
-        block = _share_block(self.cell_m)
-        down, right = -rows % block, -columns % block
-        padded = np.pad(which, ((0, down), (0, right))).astype(np.float64)
-        split = padded.reshape(padded.shape[0] // block, block, padded.shape[1] // block, block)
-        shares = smoothed(split.mean(axis=(1, 3)), std_m / SHARE_BLOCK_M)
-        whole = np.repeat(np.repeat(shares, block, axis=0), block, axis=1)
-        return np.ascontiguousarray(whole[:rows, :columns])
-
-    def smoothed(self, values: Float64, std_m: float) -> Float64:
-        """Gaussian sums over the cells around each one."""
-        return smoothed(values, std_m / self.cell_m)
-
-
-def smoothed(values: Float64, std: float) -> Float64:
-    """Gaussian sums with weights that add up to 1, of values that are 0 beyond the raster; ``std`` in its cells."""
-    radius = _radius(std)
-    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / std) ** 2)
-    weights /= weights.sum()
-    along: Float64 = scipy.ndimage.correlate1d(values, weights, axis=1, mode="constant")
-    found: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
-    return found
-
-
-def _radius(std: float) -> int:
-    """Cells at which Gaussian sums end."""
-    return math.ceil(TRUNCATE * std)
-
-
-def _share_block(cell_m: float) -> int:
-    """Cells on a side of the blocks by which shares are reckoned."""
-    return round(SHARE_BLOCK_M / cell_m)
-
-
-def _share_radius(std_m: float, cell_m: float) -> int:
-    """Cells at which shares by blocks end."""
-    return _share_block(cell_m) * (_radius(std_m / SHARE_BLOCK_M) + 1)
-
-
 def _crest_cells(cell_m: float) -> int:
     """Cells, an odd number, that a crest is wide where it is level."""
     return 2 * int(CREST_M / cell_m / 2) + 1
@@ -179,14 +110,14 @@ def _scales(cell_m: float) -> list[float]:
 def reach_cells(cell_m: float) -> int:
     """Cells beyond which nothing has a part in the surface."""
     hulls = [replace(h, cell_m=cell_m) for h in (STIFF, PLIABLE, *RIDGES)]
-    slope, contrast = _radius(SLOPE_SMOOTHED_M / cell_m) + 1, _share_radius(CONTRAST_M, cell_m)
+    slope, contrast = slope_radius(cell_m), share_radius(CONTRAST_M, cell_m)
     bent = max(h.reach for h in hulls) + slope + contrast
-    bent += len(RIDGES) * (slope + max(_share_radius(RIDGE_M, cell_m), _share_radius(TERRAIN_M, cell_m)))
+    bent += len(RIDGES) * (slope + max(share_radius(RIDGE_M, cell_m), share_radius(TERRAIN_M, cell_m)))
     bent += sum(_crest_cells(cell_m) - 1 for h in RIDGES if h.curvature > OPEN_GROUND)
-    about = max(slope, _radius(NOISE_M / cell_m)) + contrast
-    rounds = ROUNDS * sum(_radius(cells) for cells in _scales(cell_m)) + ROUNDS - PLAIN_ROUNDS
-    edges = growth.reach_cells(cell_m) + (1 + EDGE_ROUNDS) * _radius(_scales(cell_m)[-1])
-    return hulls[0].cut_cells + bent + 2 * about + rounds + edges + _radius(max(EXTENDED_M) / cell_m)
+    about = max(slope, gaussian_radius(NOISE_M / cell_m)) + contrast
+    rounds = ROUNDS * sum(gaussian_radius(cells) for cells in _scales(cell_m)) + ROUNDS - PLAIN_ROUNDS
+    edges = growth.reach_cells(cell_m) + (1 + EDGE_ROUNDS) * gaussian_radius(_scales(cell_m)[-1])
+    return hulls[0].cut_cells + bent + 2 * about + rounds + edges + gaussian_radius(max(EXTENDED_M) / cell_m)
 
 
 def ground_surface(
@@ -217,7 +148,7 @@ def ground_surface(
     heights = _without_pockets(heights, replace(STIFF, cell_m=cell_m).cut_cells)
     there = heights != EMPTY
     metres = 1.0 / scale.counts_z(1.0)
-    cells = _Cells(np.where(there, heights * metres, 0.0), there, cell_m)
+    cells = CellsLeft(np.where(there, heights * metres, 0.0), there, cell_m)
 
     def hull(rule: Hull) -> Float64:
         found = hull_below(heights, replace(rule, cell_m=cell_m), scale, row, column)
@@ -231,8 +162,8 @@ def ground_surface(
 
 def noise_reach_cells(cell_m: float) -> int:
     """Cells beyond which nothing has a part in the noise about a surface, and in how it goes on beyond its cells."""
-    about = max(_radius(SLOPE_SMOOTHED_M / cell_m) + 1, _radius(NOISE_M / cell_m))
-    return about + _share_radius(CONTRAST_M, cell_m) + _radius(max(EXTENDED_M) / cell_m)
+    about = max(slope_radius(cell_m), gaussian_radius(NOISE_M / cell_m))
+    return about + share_radius(CONTRAST_M, cell_m) + gaussian_radius(max(EXTENDED_M) / cell_m)
 
 
 def with_noise(
@@ -254,7 +185,7 @@ def with_noise(
     """
     there = (heights != EMPTY) & ~np.isnan(ground)
     metres = 1.0 / scale.counts_z(1.0)
-    cells = _Cells(np.where(there, heights * metres, 0.0), there, cell_m)
+    cells = CellsLeft(np.where(there, heights * metres, 0.0), there, cell_m)
     below: Float64 = np.where(there, ground * metres, 0.0)
     sigma, narrowing, _, _ = _about(cells, np.zeros_like(there), below, sigma_m)
     return _extended(cells, below, sigma, narrowing)
@@ -266,24 +197,18 @@ def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
     return found
 
 
-def _slope(cells: _Cells, surface: Float64) -> Float64:
-    north, east = np.gradient(cells.mean(surface), cells.cell_m)
-    found: Float64 = np.where(cells.there & (cells.near > 0.2), np.hypot(north, east), 0.0)
-    return np.minimum(found, STEEPEST)
-
-
 def _contrast(
-    cells: _Cells, counted: Bool | Float64, surface: Float64, sigma_m: float, std_m: float
+    cells: CellsLeft, counted: Bool | Float64, surface: Float64, sigma_m: float, std_m: float
 ) -> tuple[Float64, Float64]:
     """Cells just above a surface, as far as counted, in parts of those on it, around each cell; share of the latter."""
-    band = BAND_M + BAND_SIGMAS * sigma_m + BAND_SLOPE * _slope(cells, surface)
+    band = BAND_M + BAND_SIGMAS * sigma_m + BAND_SLOPE * cells.slope(surface)
     residual = cells.height - surface
     on = cells.around(cells.there & (np.abs(residual) < band), std_m)
     just_above = cells.there & (residual >= band) & (residual < 3.0 * band)
     return cells.around(counted * just_above, std_m) / np.maximum(on, 1e-3), on
 
 
-def _bent(cells: _Cells, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m: float) -> Float64:
+def _bent(cells: CellsLeft, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m: float) -> Float64:
     """The hull that bends as much as the cells show."""
     stiff = hull(STIFF)
     pliable = np.maximum(hull(PLIABLE), stiff)
@@ -312,21 +237,21 @@ def _bent(cells: _Cells, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m
     return surface
 
 
-def _slope_around(cells: _Cells, surface: Float64) -> Float64:
+def _slope_around(cells: CellsLeft, surface: Float64) -> Float64:
     """Mean slope of the cells around each one."""
-    return cells.around(_slope(cells, surface), TERRAIN_M) / np.maximum(
+    return cells.around(cells.slope(surface), TERRAIN_M) / np.maximum(
         cells.around(cells.there, TERRAIN_M), 1e-3
     )
 
 
-def _of_terrain(cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float) -> Float64:
+def _of_terrain(cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float) -> Float64:
     """Of the cells above a surface, the share that is terrain's, around each cell."""
     above = cells.there & (cells.height - surface > BAND_M + BAND_SIGMAS * sigma_m)
     return cells.around(above & terrain, TERRAIN_M) / np.maximum(cells.around(above, TERRAIN_M), 1e-3)
 
 
 def _refined(
-    cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float
+    cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float
 ) -> tuple[Float64, Float64, Float64]:
     """The surface amid the cells that lie about it, their noise, and how much narrower the band is in plants."""
     _, _, above, below = _about(cells, terrain, surface, sigma_m)
@@ -344,8 +269,14 @@ def _refined(
 
 
 def _to_edges(
-    cells: _Cells, terrain: Bool, surface: Float64, sigma: Float64, narrowing: Float64, above: Float64, below: Float64
-) -> Float64:  # fmt: skip
+    cells: CellsLeft,
+    terrain: Bool,
+    surface: Float64,
+    sigma: Float64,
+    narrowing: Float64,
+    above: Float64,
+    below: Float64,
+) -> Float64:
     """The surface after ground grew to the edges of terraces and banks; changed only near cells that joined."""
     residual = cells.height - surface
     ground = cells.there & (residual < above) & (residual > -below)
@@ -357,7 +288,7 @@ def _to_edges(
     surface = np.where(joins, joined, surface)
     weight = (ground | joins).astype(np.float64)
     std = _scales(cells.cell_m)[-1]
-    near = cells.there & scipy.ndimage.maximum_filter(joins, 2 * _radius(std) + 1, mode="constant")
+    near = cells.there & scipy.ndimage.maximum_filter(joins, 2 * gaussian_radius(std) + 1, mode="constant")
     for _ in range(EDGE_ROUNDS):
         mean = smoothed(weight * (cells.height - surface), std)
         surface = surface + np.where(near, mean / (smoothed(weight, std) + FEW), 0.0)
@@ -365,10 +296,10 @@ def _to_edges(
 
 
 def _about(
-    cells: _Cells, terrain: Bool, surface: Float64, sigma_m: float
+    cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float
 ) -> tuple[Float64, Float64, Float64, Float64]:
     """Noise and narrowing of the band of cells that lie about a surface, and how far it extends above and below."""
-    slope, residual = _slope(cells, surface), cells.height - surface
+    slope, residual = cells.slope(surface), cells.height - surface
     sigma = _noise(cells, residual, sigma_m)
     above = ABOVE_M + ABOVE_SIGMAS * sigma + ABOUT_SLOPE * slope
     below = BELOW_M + BELOW_SIGMAS * sigma + 2 * ABOUT_SLOPE * slope
@@ -379,7 +310,7 @@ def _about(
     return sigma, narrowing, above * narrowing, below * (2.0 - narrowing)
 
 
-def _noise(cells: _Cells, residual: Float64, sigma_m: float) -> Float64:
+def _noise(cells: CellsLeft, residual: Float64, sigma_m: float) -> Float64:
     """Root mean square of the residuals below the surface around each cell, and the run's where there are few."""
     below = cells.there & (residual < 0.0) & (residual > -6.0 * sigma_m)
     weight = cells.smoothed(below.astype(np.float64), NOISE_M)
@@ -388,7 +319,7 @@ def _noise(cells: _Cells, residual: Float64, sigma_m: float) -> Float64:
     return np.minimum(local, NOISE_MOST * sigma_m)
 
 
-def _extended(cells: _Cells, surface: Float64, sigma: Float64, narrowing: Float64) -> Surface:
+def _extended(cells: CellsLeft, surface: Float64, sigma: Float64, narrowing: Float64) -> Surface:
     """The surface where there are cells, around them the mean of what is near, NaN beyond."""
     there = cells.there
     found = np.where(there, surface, np.nan)

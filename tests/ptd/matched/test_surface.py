@@ -12,12 +12,11 @@ from ptd.matched.cells import EMPTY
 from ptd.matched.surface import (
     EXTENDED_M,
     NARROWEST,
-    TRUNCATE,
     Surface,
     ground_surface,
     reach_cells,
-    smoothed,
 )
+from ptd.matched.surroundings import TRUNCATE, smoothed
 from tests.scenes.village import short_sighted_surface
 
 MM = Scale()

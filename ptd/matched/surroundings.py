@@ -1,0 +1,96 @@
+"""What lies around each cell of a raster: Gaussian sums that end at a fixed radius, shares by blocks, slopes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ptd.ground.morphology import Bool
+
+Float64 = npt.NDArray[np.float64]
+
+SLOPE_SMOOTHED_M, STEEPEST = 2.0, 2.0
+"""Standard deviation of the surroundings from which slopes are taken, and the steepest one."""
+TRUNCATE = 2.0
+"""Standard deviations at which Gaussian sums end."""
+SHARE_BLOCK_M = 4.0
+"""Side of the blocks for which shares of the surroundings are reckoned: they are far smaller than those."""
+
+
+@dataclass(frozen=True)
+class CellsLeft:
+    """Heights in metres, which cells are there, and their side."""
+
+    height: Float64
+    there: Bool
+    cell_m: float
+
+    @cached_property
+    def near(self) -> Float64:
+        """How much of the surroundings from which slopes are taken holds cells."""
+        return self.smoothed(self.there.astype(np.float64), SLOPE_SMOOTHED_M)
+
+    def mean(self, values: Float64) -> Float64:
+        """Gaussian mean of the values of the cells that are there, as slopes need it; 0 where none is near."""
+        return self.smoothed(np.where(self.there, values, 0.0), SLOPE_SMOOTHED_M) / np.maximum(
+            self.near, 1e-9
+        )
+
+    def around(self, which: Bool | Float64, std_m: float) -> Float64:
+        """Share of all places around each cell that hold a chosen one, by blocks of `SHARE_BLOCK_M`.
+
+        Values instead of choices are summed over these places, with weights that add up to 1.
+        """
+        rows, columns = which.shape
+        block = share_block(self.cell_m)
+        down, right = -rows % block, -columns % block
+        padded = np.pad(which, ((0, down), (0, right))).astype(np.float64)
+        split = padded.reshape(padded.shape[0] // block, block, padded.shape[1] // block, block)
+        shares = smoothed(split.mean(axis=(1, 3)), std_m / SHARE_BLOCK_M)
+        whole = np.repeat(np.repeat(shares, block, axis=0), block, axis=1)
+        return np.ascontiguousarray(whole[:rows, :columns])
+
+    def smoothed(self, values: Float64, std_m: float) -> Float64:
+        """Gaussian sums over the cells around each one."""
+        return smoothed(values, std_m / self.cell_m)
+
+    def slope(self, surface: Float64) -> Float64:
+        """Slope of a surface, 0 where few cells are near."""
+        north, east = np.gradient(self.mean(surface), self.cell_m)
+        found: Float64 = np.where(self.there & (self.near > 0.2), np.hypot(north, east), 0.0)
+        return np.minimum(found, STEEPEST)
+
+
+def smoothed(values: Float64, std: float) -> Float64:
+    """Gaussian sums with weights that add up to 1, of values that are 0 beyond the raster; ``std`` in its cells."""
+    radius = gaussian_radius(std)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / std) ** 2)
+    weights /= weights.sum()
+    along: Float64 = scipy.ndimage.correlate1d(values, weights, axis=1, mode="constant")
+    found: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
+    return found
+
+
+def gaussian_radius(std: float) -> int:
+    """Cells at which Gaussian sums end."""
+    return math.ceil(TRUNCATE * std)
+
+
+def slope_radius(cell_m: float) -> int:
+    """Cells beyond which nothing has a part in a slope."""
+    return gaussian_radius(SLOPE_SMOOTHED_M / cell_m) + 1
+
+
+def share_block(cell_m: float) -> int:
+    """Cells on a side of the blocks by which shares are reckoned."""
+    return round(SHARE_BLOCK_M / cell_m)
+
+
+def share_radius(std_m: float, cell_m: float) -> int:
+    """Cells at which shares by blocks end."""
+    return share_block(cell_m) * (gaussian_radius(std_m / SHARE_BLOCK_M) + 1)
