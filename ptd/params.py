@@ -12,13 +12,12 @@ UNIT_SUFFIXES = ("_m", "_deg")
 def parameter(
     default: float | int | bool,
     help: str,
-    *,
-    unit: str = "",
     minimum: float | None = None,
     maximum: float | None = None,
+    unit: str = "",
     source: str = "",
 ) -> Any:
-    """A field with help, unit, closed range and the place in the literature that it comes from."""
+    """A field with help, closed range, unit and the place in the literature that it comes from."""
     metadata = {"help": help, "unit": unit, "minimum": minimum, "maximum": maximum, "source": source}
     return field(default=default, metadata=metadata)
 

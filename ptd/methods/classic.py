@@ -55,7 +55,7 @@ from ptd.passes import Int32, Method, Pass, Points, State
 class Classic(Progressive):
     """Parameters of `classic`; see the module's table."""
 
-    rounds: int = parameter(8, "rounds of densification; 0: until nothing passes", minimum=0, maximum=1000)
+    rounds: int = parameter(8, "rounds of densification; 0: until nothing passes", 0, 1000)
     label_pass: bool = parameter(
         True, "points near the finished TIN become ground too, not only its vertices"
     )

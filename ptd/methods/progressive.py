@@ -49,15 +49,12 @@ class Progressive:
         1.0, "only the lowest point of a cell of this side can become a vertex; 0: every point", unit="m",
         minimum=0.0, maximum=100.0, source="Ridge 2016, 3.3",
     )  # fmt: skip
-    low_radius_m: float = parameter(
-        5.0, "low outliers: radius of the search", unit="m", minimum=1.0, maximum=50.0
-    )
+    low_radius_m: float = parameter(5.0, "low outliers: radius of the search", 1.0, 50.0, "m")
     low_depth_m: float = parameter(
-        4.0, "low outliers: how far they lie below all other points within the radius", unit="m",
-        minimum=0.1, maximum=100.0,
-    )  # fmt: skip
+        4.0, "low outliers: how far they lie below all other points within the radius", 0.1, 100.0, "m"
+    )
     low_group: int = parameter(
-        5, "low outliers: largest number of points in a clump of them; 0: no search", minimum=0, maximum=1000
+        5, "low outliers: largest number of points in a clump of them; 0: no search", 0, 1000
     )
     label_floor_m: float = parameter(
         0.3,

@@ -112,21 +112,17 @@ class AutoParameters:
     iteration_angle_deg: float = like(Progressive, "iteration_angle_deg", 28.0)
     edge_length_reduce_m: float = like(Progressive, "edge_length_reduce_m")
     object_size_m: float = parameter(
-        12.0, "widest object (car, shrub, wall) that is taken out of the ground found", unit="m", minimum=2.0,
-        maximum=1000.0,
-    )  # fmt: skip
+        12.0, "widest object (car, shrub, wall) that is taken out of the ground found", 2.0, 1000.0, "m"
+    )
     object_rise: float = parameter(
         0.1, "steepest rise of ground above the mean around it, metres per metre. Lower it if low objects stay, raise "
         "it if banks and bumps are lost", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     roof_size_m: float = parameter(
-        200.0, "widest roof that is told from terrain by its edges, which fall on all sides", unit="m", minimum=2.0,
-        maximum=1000.0,
-    )  # fmt: skip
+        200.0, "widest roof that is told from terrain by its edges, which fall on all sides", 2.0, 1000.0, "m"
+    )
     label_floor_m: float = like(Progressive, "label_floor_m", 0.24)
-    label_slope_m: float = parameter(
-        1.0, "last pass: extra height allowed per unit of slope", unit="m", minimum=0.0, maximum=10.0,
-    )  # fmt: skip
+    label_slope_m: float = parameter(1.0, "last pass: extra height allowed per unit of slope", 0.0, 10.0, "m")
 
     reaches: ClassVar[Reaches] = Reaches()
 

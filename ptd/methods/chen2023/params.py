@@ -33,11 +33,7 @@ class Chen2023Parameters(Progressive):
         maximum=10.0, source="Chen 2023, 2.2 A",
     )  # fmt: skip
     initial_window: int = parameter(
-        1,
-        "W_0: windows of 2 k W_0 + 1 cells, k = 1, 2, ...",
-        minimum=1,
-        maximum=1000,
-        source="Chen 2023, 3.2 (2), eq. 1",
+        1, "W_0: windows of 2 k W_0 + 1 cells, k = 1, 2, ...", 1, 1000, source="Chen 2023, 3.2 (2), eq. 1"
     )
     rounds: int = like(Classic, "rounds", 4)
     exponential_windows: bool = parameter(
@@ -48,12 +44,7 @@ class Chen2023Parameters(Progressive):
         source="Chen 2023, eq. 3",
     )  # fmt: skip
     initial_drop_m: float = parameter(
-        0.3,
-        "h_0: drop of ground that is allowed in any window",
-        unit="m",
-        minimum=0.0,
-        maximum=100.0,
-        source="Chen 2023, eq. 3",
+        0.3, "h_0: drop of ground that is allowed in any window", 0.0, 100.0, "m", source="Chen 2023, eq. 3"
     )
     largest_drop_m: float = parameter(
         2.5, "h_max: the most that ground may drop from one window to the next", unit="m", minimum=0.01,

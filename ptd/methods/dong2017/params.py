@@ -25,26 +25,13 @@ class Dong2017Parameters:
         source="Dong 2017, 3.3.2: H",
     )
     glass_factor: float = parameter(
-        0.5,
-        "share of a facade that is matched, the rest is glass",
-        minimum=0.01,
-        maximum=1.0,
-        source="Dong 2017, 3.3.2",
+        0.5, "share of a facade that is matched, the rest is glass", 0.01, 1.0, source="Dong 2017, 3.3.2"
     )
     seed_distance_m: float = parameter(
-        4.0,
-        "distance of a seed from the facade",
-        unit="m",
-        minimum=1.0,
-        maximum=30.0,
-        source="Dong 2017, 3.1: d",
+        4.0, "distance of a seed from the facade", 1.0, 30.0, "m", source="Dong 2017, 3.1: d"
     )
     seed_variation: float = parameter(
-        2.0,
-        "largest noise around a seed, in multiples of sigma",
-        minimum=0.5,
-        maximum=10.0,
-        source="Dong 2017, 3.1: 2 sigma",
+        2.0, "largest noise around a seed, in multiples of sigma", 0.5, 10.0, source="Dong 2017, 3.1: 2 sigma"
     )
     podium_radius_m: float = parameter(
         15.0, "a seed is dropped if a much lower one lies within this distance", unit="m", minimum=1.0,
@@ -54,17 +41,14 @@ class Dong2017Parameters:
         0.3, "steepest slope between two seeds that are both ground", minimum=0.0, maximum=5.0,
         source="Dong 2017, equation 1: 0.3",
     )  # fmt: skip
-    seed_cell_m: float = parameter(
-        15.0, "one seed, the lowest, per cell of this side", unit="m", minimum=2.0, maximum=200.0
-    )
+    seed_cell_m: float = parameter(15.0, "one seed, the lowest, per cell of this side", 2.0, 200.0, "m")
     first_spacing_m: float = parameter(
         4.0, "side of the cells of the first TIN of ground, halved until the last", unit="m", minimum=0.5,
         maximum=50.0, source="Dong 2017, table 4: 4 m",
     )  # fmt: skip
     last_spacing_m: float = parameter(
-        1.0, "side of the cells of the last TIN of ground", unit="m", minimum=0.25, maximum=50.0,
-        source="Dong 2017, table 4: 2 m",
-    )  # fmt: skip
+        1.0, "side of the cells of the last TIN of ground", 0.25, 50.0, "m", source="Dong 2017, table 4: 2 m"
+    )
     tins: int = parameter(
         8,
         "number of TINs of each density; ground grows by two cells with each",

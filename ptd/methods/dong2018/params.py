@@ -23,7 +23,7 @@ class Dong2018Parameters(Progressive):
         0.0, "stage one: only the lowest point of a cell of this side can become a vertex; 0: as fine as DEN_thr asks",
         unit="m", minimum=0.0, maximum=100.0,
     )  # fmt: skip
-    rounds: int = parameter(8, "rounds of stage one; 0: until nothing passes", minimum=0, maximum=1000)
+    rounds: int = parameter(8, "rounds of stage one; 0: until nothing passes", 0, 1000)
     density_k: float = parameter(
         0.2, "k: density coefficient of DEN_thr, the density of the TIN from which noise decides", minimum=0.001,
         maximum=1000.0, source="Dong 2018, eq. 3",
@@ -32,15 +32,9 @@ class Dong2018Parameters(Progressive):
         4.0, "stage two: largest cells of which one ground point is a vertex; halved from scale to scale", unit="m",
         minimum=1.0, maximum=64.0, source="Dong 2018, 2.5.3",
     )  # fmt: skip
-    last_scale_m: float = parameter(
-        1.0, "s_thr: no smaller cells", unit="m", minimum=0.25, maximum=1.0, source="Dong 2018, 2.5.3"
-    )
+    last_scale_m: float = parameter(1.0, "s_thr: no smaller cells", 0.25, 1.0, "m", source="Dong 2018, 2.5.3")
     min_joined: int = parameter(
-        2000,
-        "n: stage two ends when fewer points of the run joined",
-        minimum=0,
-        maximum=10**9,
-        source="Dong 2018, 2.5.3",
+        2000, "n: stage two ends when fewer points of the run joined", 0, 10**9, source="Dong 2018, 2.5.3"
     )
     contour_share: float = parameter(
         0.01, "level of the outer contour as a share of the histogram's fullest bin", minimum=0.0001, maximum=0.9,

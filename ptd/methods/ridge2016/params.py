@@ -44,11 +44,11 @@ class Ridge2016Parameters(Progressive):
         "are dropped; 1: none", minimum=0.5, maximum=1.0, source="Ridge 2016, 2.2",
     )  # fmt: skip
     seed_residual_m: float = parameter(
-        0.0, "seeds with a smaller residual are kept in any case", unit="m", minimum=0.0, maximum=100.0
+        0.0, "seeds with a smaller residual are kept in any case", 0.0, 100.0, "m"
     )
     growth: float = parameter(
         0.001, "p_min: rounds end when the terrain grew by no more than this share of the run's points; 0: never",
         minimum=0.0, maximum=1.0, source="Ridge 2016, equation 11",
     )  # fmt: skip
-    rounds: int = parameter(12, "rounds of densification at most", minimum=1, maximum=100)
+    rounds: int = parameter(12, "rounds of densification at most", 1, 100)
     robust_cells: bool = like(OnCells, "robust_cells")
