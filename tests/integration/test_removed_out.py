@@ -10,13 +10,13 @@ import pytest
 
 from tests.invariants.runs import do
 from tiler.errors import ProcessingError
-from tiler.stages import file_tasks, ingest_tasks, tasks
+from tiler.stages import file_tasks, ingest_tasks, raster_table, tasks
 
 WORKS = {
     "spool_piece": ingest_tasks,
     "assemble_buckets": ingest_tasks,
     "filter_tile": tasks,
-    "grid_block": tasks,
+    "grid_block": raster_table,
     "write_cog": file_tasks,
     "write_classified": file_tasks,
 }
