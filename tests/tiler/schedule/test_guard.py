@@ -96,6 +96,11 @@ def test_what_forks_them_is_shared_and_replaced_when_it_dies() -> None:
         psutil.Process(parents.pop()).kill()
         for guard in (first, second):
             with pytest.raises(Died, match="SIGKILL"):
-                while True:  # it may answer before it is gone
-                    guard.call(calls.pid, seconds=SECONDS)
+                call_on(guard)
             assert guard.call(calls.double, 21, seconds=SECONDS) == 42
+
+
+def call_on(guard: Guard) -> None:
+    """Call until it fails: a child may answer once more before it is gone."""
+    while True:
+        guard.call(calls.pid, seconds=SECONDS)
