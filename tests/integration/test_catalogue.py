@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
+from urllib.parse import unquote, unquote_to_bytes
 
 import laspy
 import numpy as np
@@ -41,6 +42,19 @@ def out(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def read(path: Path) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(path.read_text("utf-8"))
     return found
+
+
+def test_a_name_that_is_no_utf_8_is_a_link_of_its_bytes(tmp_path: Path) -> None:
+    name = "\udcff.laz"
+    try:
+        clouds.write(tmp_path / name, clouds.city(40.0))
+    except OSError:
+        pytest.skip("this file system takes no such name")
+    assert do(tmp_path, tmp_path / "out", **CITY).exit_code == 0
+    assets = read(tmp_path / "out" / "stac.json")["assets"].values()
+    (href,) = (asset["href"] for asset in assets if asset["href"].endswith(".laz"))
+    assert href == "./classified/%FF.laz"
+    assert (tmp_path / "out" / os.fsdecode(unquote_to_bytes(href))).is_file()
 
 
 def test_the_virtual_cloud_says_what_the_clouds_hold(out: Path) -> None:

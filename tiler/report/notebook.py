@@ -159,6 +159,6 @@ def _href(place: str) -> str:
         return place
     path = Path(os.path.abspath(place))
     try:  # a colon would make a scheme of what stands before it
-        return quote(path.relative_to(Path.cwd()).as_posix())
+        return quote(os.fsencode(path.relative_to(Path.cwd())))
     except (ValueError, OSError):
         return path.as_uri()

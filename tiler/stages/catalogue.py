@@ -7,6 +7,7 @@ relative, so that OUT can be published as it is.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -210,7 +211,7 @@ class _Catalogue:
             "extent": {"spatial": {"bbox": [hull]}, "temporal": {"interval": [interval]}},
             "links": [
                 {"rel": "root", "href": f"./{STAC}", "type": _JSON},
-                *({"rel": "item", "href": f"./{quote(path)}", "type": _GEOJSON} for path in items),
+                *({"rel": "item", "href": f"./{quote(os.fsencode(path))}", "type": _GEOJSON} for path in items),
             ],
             "assets": {**mosaics, **self._besides()},
         }  # fmt: skip
@@ -241,7 +242,8 @@ class _Catalogue:
             if key in self._written:
                 product, record = PRODUCTS[name], self._written[key][1]
                 found[name] = {
-                    "href": f"{base}/{quote(path)}", "type": _COG, "title": product.description, "roles": ["data"],
+                    "href": f"{base}/{quote(os.fsencode(path))}", "type": _COG, "title": product.description,
+                    "roles": ["data"],
                     "bands": [self._band(name, record)],
                 }  # fmt: skip
         return found
@@ -270,7 +272,9 @@ class _Catalogue:
         for cloud in self.clouds:
             # The schema of the extension is for items alone.
             more = {"pc:count": cloud.record["points"]} if self._plan.config.sheets is None else {}
-            asset = _asset(quote(cloud.path), self._media, title="points with their classes", **more)
+            asset = _asset(
+                quote(os.fsencode(cloud.path)), self._media, title="points with their classes", **more
+            )
             found[cloud.path.removesuffix(self._suffix)] = asset
         found["report"] = _asset(REPORT, "text/html", "metadata")
         return found
