@@ -29,10 +29,6 @@ FORKS = sys.platform == "linux" and hasattr(os, "fork") and hasattr(socket, "sen
 SERVES = "fork"
 """What tells `tiler.schedule.guarded` to be the server."""
 
-LARGE_PAGES = "glibc.malloc.hugetlb=1"
-"""Has the C library ask for large pages where it allocates: one fault of 2 MiB instead of 512, and short ways to find
-the place of an address. Other C libraries, and systems without such pages, pay no heed."""
-
 _SET_BY_LIBRARIES = "_CURL_CA_BUNDLE"
 """End of the names of variables that rasterio and pyproj set for themselves when they are imported."""
 
@@ -41,13 +37,8 @@ _SIZE, _CODE = 8, 8
 
 
 def child_environment() -> dict[str, str]:
-    """Environment of a child: it imports from where this process does, and asks for large pages."""
-    own = os.environ.get("GLIBC_TUNABLES")
-    return {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(trusted_path()),
-        "GLIBC_TUNABLES": f"{own}:{LARGE_PAGES}" if own else LARGE_PAGES,
-    }
+    """Environment of a child: it imports from where this process does."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
 
 
 class ForkedChild:
