@@ -129,12 +129,13 @@ _kept = 0
 def fork_child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
     """A child that may allocate so much; the modules of its first call are imported, and ``prepare`` called, before."""
     with _lock:
+        server = _current()
         try:
-            child = _current().fork(memory_bytes, call, prepare)
+            child = server.fork(memory_bytes, call, prepare)
         except OSError:  # it died just now
-            _current(anew=True)
-            child = _current().fork(memory_bytes, call, prepare)
-        _used(_current(), 1)
+            server = _current(anew=True)
+            child = server.fork(memory_bytes, call, prepare)
+        _used(server, 1)
         return child
 
 

@@ -185,7 +185,7 @@ def limit_memory(size_bytes: int) -> None:
 
 def _fate(code: int, late: bool, seconds: float) -> str:
     """What the exit code of a child says of its end, worded to follow its name."""
-    if code == 1 and late:
+    if (hasattr(signal, "SIGALRM") and code == -signal.SIGALRM) or (code == 1 and late):
         return f"did not end within {seconds:g} s"
     if code < 0 and signal.Signals(-code).name == "SIGKILL":
         return "was killed (SIGKILL), as a system does that runs out of memory"

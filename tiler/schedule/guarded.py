@@ -30,14 +30,24 @@ def answer_calls(memory_bytes: int | None) -> NoReturn:
     while True:
         try:
             function, arguments, seconds = pickle.loads(asked.get())  # of the process that started this one
-            # A thread of C, which also ends a process that hangs in a library while it holds the interpreter's lock.
-            faulthandler.dump_traceback_later(seconds, exit=True)
+            _end_after(seconds)
             answer = (True, function(*arguments))
         except BaseException as error:  # noqa: BLE001 - a decoder may panic with what is no Exception
             answer = (False, _portable(error))
-        faulthandler.cancel_dump_traceback_later()
+        _end_after(0.0)
         pickle.dump(answer, answers)
         answers.flush()
+
+
+def _end_after(seconds: float) -> None:
+    """Have this process ended in so many seconds, even if it hangs in a library and holds Python's lock; 0: do not."""
+    if hasattr(signal, "setitimer"):  # the system ends it: nothing of this process has to run for that
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+    elif seconds > 0:
+        faulthandler.dump_traceback_later(seconds, exit=True)
+    else:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def _listen(calls: BinaryIO, asked: queue.SimpleQueue[bytes]) -> None:
