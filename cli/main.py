@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
+import os
 import sys
 import traceback
 import warnings
@@ -41,6 +43,9 @@ COMMANDS = {
     "demo": "Simulate a small city, run the whole job on it, score it.",
 }
 """Commands in the order of the help, with its line for each: help must not import them all."""
+
+GARBAGE_OBJECTS = 100_000
+"""Imports make few objects that are garbage: looking for it after each 700 is a tenth of a command's start."""
 
 STAGES = ("ingest", "filter", "grid", "export")
 """Commands of the module of ``run``."""
@@ -100,6 +105,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     own_process = arguments is None
+    if own_process:
+        gc.set_threshold(GARBAGE_OBJECTS)
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with open_streams(own_process), ended_in_time(own_process) as ending:
         try:
             code = _run(arguments, ending)

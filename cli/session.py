@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,9 @@ import click
 
 if TYPE_CHECKING:
     from tiler.observe.events import Listener
+
+READING = ("tiler.ingest.sources",)
+"""What a process needs that looks into clouds."""
 
 
 @dataclass
@@ -56,7 +59,8 @@ def shown_progress() -> Iterator[Listener]:
 class TilerCommand(click.Command):
     """A command with -v and -q, and with --progress where it shows some, which sets up the log before it runs.
 
-    What reads clouds for one that ``reads`` some starts beside it, while it imports its own libraries.
+    What looks into clouds for one that ``reads`` some starts beside it, and imports what is named there while the
+    command imports its own libraries.
     """
 
     def __init__(
@@ -64,7 +68,7 @@ class TilerCommand(click.Command):
         *arguments: Any,
         resumes: bool = False,
         progress: bool = False,
-        reads: bool = False,
+        reads: Sequence[str] = (),
         **settings: Any,
     ) -> None:
         super().__init__(*arguments, **settings)
@@ -96,9 +100,10 @@ class TilerCommand(click.Command):
         set_up_logging(session.verbosity, as_json=session.progress == "json")
         if not self._reads or ctx.params.get("in_process"):
             return super().invoke(ctx)
-        from tiler.schedule import kept_forking
+        from tiler.schedule import kept_forking, prepare_children
 
-        with kept_forking("tiler.ingest.sources"):
+        with kept_forking():
+            prepare_children(*self._reads)
             return super().invoke(ctx)
 
 

@@ -21,7 +21,7 @@ from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_second
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
 from tiler.runs.job import Job, Ownership, RunResult
-from tiler.schedule import kept_forking, limits_memory
+from tiler.schedule import kept_forking, limits_memory, prepare_children
 from tiler.stages.corrections import correct
 from tiler.stages.export import export
 from tiler.stages.filter import filter_points
@@ -82,6 +82,10 @@ def run(
         raise ConfigError("-o: has no name; name a folder for the results")
     out = folder_here(products)
     started = time.monotonic()
+    if not config.in_process:
+        prepare_children(
+            "tiler.ingest.sources", "tiler.pipeline", "scipy.ndimage", "tiler.runs.worker:prepare"
+        )
     plan = make_plan(inputs, config, products, known)
     _make_folder(out)
     if not is_url(products):

@@ -9,7 +9,7 @@ import click
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import config_options, json_option, read_config
 from cli.output import print_facts, print_json, say
-from cli.session import TilerCommand, current_session, shown_progress
+from cli.session import READING, TilerCommand, current_session, shown_progress
 from cli.summary import failed_lines
 
 SETTINGS = (
@@ -29,7 +29,7 @@ SETTINGS = (
 )
 
 
-@click.command("classify", cls=TilerCommand, progress=True, reads=True)
+@click.command("classify", cls=TilerCommand, progress=True, reads=READING)
 @click.argument("source", metavar="IN", type=click.Path())
 @click.argument("target", metavar="OUT.laz", type=click.Path())
 @config_options(only=SETTINGS)

@@ -8,10 +8,10 @@ import click
 
 from cli.options import json_option
 from cli.output import map_lines, print_facts, print_json, say
-from cli.session import TilerCommand
+from cli.session import READING, TilerCommand
 
 
-@click.command("info", cls=TilerCommand, reads=True)
+@click.command("info", cls=TilerCommand, reads=READING)
 @click.argument("path", metavar="PATH")
 @json_option
 def command(path: str, as_json: bool) -> None:

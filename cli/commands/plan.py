@@ -8,10 +8,10 @@ import click
 
 from cli.options import config_options, inputs_argument, json_option, read_config
 from cli.output import print_json, say
-from cli.session import TilerCommand
+from cli.session import READING, TilerCommand
 
 
-@click.command("plan", cls=TilerCommand, reads=True)
+@click.command("plan", cls=TilerCommand, reads=READING)
 @inputs_argument
 @click.option(
     "-o",

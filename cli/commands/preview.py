@@ -10,7 +10,7 @@ import click
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import SETTINGS, config_options, inputs_argument, json_option, read_config
 from cli.output import print_json, say
-from cli.session import TilerCommand, current_session, shown_progress
+from cli.session import READING, TilerCommand, current_session, shown_progress
 from cli.summary import percent_text
 
 WITHOUT = (
@@ -20,7 +20,7 @@ WITHOUT = (
 """Settings of a run that no preview has."""
 
 
-@click.command("preview", cls=TilerCommand, progress=True, reads=True)
+@click.command("preview", cls=TilerCommand, progress=True, reads=READING)
 @inputs_argument
 @click.option(
     "-o",

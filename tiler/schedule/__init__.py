@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tiler.schedule.fork_server import kept_forking
+from tiler.schedule.fork_server import kept_forking, prepare_children
 from tiler.schedule.guard import Died, Guard, limits_memory
 from tiler.schedule.isolated_reading import half_of_memory, read_apart, seconds_for
 from tiler.schedule.parallel_calls import Guards
@@ -43,6 +43,7 @@ __all__ = [
     "kept_forking",
     "limits_memory",
     "make_executor",
+    "prepare_children",
     "read_apart",
     "seconds_for",
 ]

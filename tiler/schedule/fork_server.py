@@ -16,10 +16,10 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import IO, Any
 
 from tiler.import_path import trusted_path
@@ -35,10 +35,20 @@ _SET_BY_LIBRARIES = "_CURL_CA_BUNDLE"
 _SIZE, _CODE = 8, 8
 """Bytes of the length of a request, and of an exit code."""
 
+_GARBAGE_OBJECTS = 100_000
+"""Imports make few objects that are garbage: looking for it after each 700 is a tenth of their time."""
+
+_ONE_THREAD = "OPENBLAS_NUM_THREADS"
+"""The library of linear algebra that comes with numpy starts a thread for each core as it is loaded, which spins."""
+
 
 def child_environment() -> dict[str, str]:
-    """Environment of a child: it imports from where this process does."""
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
+    """Environment of a child: it imports from where this process does, and is one of several, with a thread each."""
+    return {_ONE_THREAD: "1", **os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
+
+
+_Child = tuple[int | None, bytes, bytes]
+"""Memory, first call, and preparation of a child that is wanted."""
 
 
 class ForkedChild:
@@ -87,9 +97,9 @@ class _Server:
                 env=child_environment(),
             )
 
-    def prepare(self, module: str) -> None:
-        """Have it import a module while nobody waits for it; raises OSError where the server is gone."""
-        self._ask((None, b"", pickle.dumps(partial(import_module, module))), [])
+    def prepare(self, names: Sequence[str]) -> None:
+        """See `prepare_children`; raises OSError where the server is gone."""
+        self._ask(names, [])
 
     def fork(self, memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
         """Ask for a child; raises OSError where the server is gone."""
@@ -109,7 +119,7 @@ class _Server:
             os.close(answers)
         return ForkedChild(self, os.fdopen(stdin, "wb"), os.fdopen(stdout, "rb"), line)
 
-    def _ask(self, what: tuple[int | None, bytes, bytes], files: list[int]) -> None:
+    def _ask(self, what: _Child | Sequence[str], files: list[int]) -> None:
         request = pickle.dumps(what)
         socket.send_fds(self.door, [len(request).to_bytes(_SIZE, "little")], files)
         self.door.sendall(request)
@@ -156,19 +166,26 @@ def _current(anew: bool = False) -> _Server:
 
 
 @contextmanager
-def kept_forking(module: str | None = None) -> Iterator[None]:
-    """Keep the server, once it is there, until the end: children that end one after another share what it imported.
-
-    With a module it starts now, and imports that beside what this process does.
-    """
+def kept_forking() -> Iterator[None]:
+    """Keep the server, once it is there, until the end: children that end one after another share what it imported."""
     _keep(1)
-    if module is not None and FORKS:
-        with _lock, suppress(OSError):
-            _current().prepare(module)
     try:
         yield
     finally:
         _keep(-1)
+
+
+def prepare_children(*names: str) -> None:
+    """Within `kept_forking`: what children need is imported now, beside what this process does, when none is wanted.
+
+    Parameters
+    ----------
+    *names : str
+        Modules, or functions of modules to be called (``module:function``), in this order.
+    """
+    if FORKS:
+        with _lock, suppress(OSError):
+            _current().prepare(names)
 
 
 def _keep(change: int) -> None:
@@ -205,10 +222,15 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
     signal.set_wakeup_fd(wake.fileno())
     signal.signal(signal.SIGCHLD, lambda *_: None)
     selector, lines, asked = selectors.DefaultSelector(), dict[socket.socket, int](), True
+    prepared = deque[str]()
     selector.register(door, selectors.EVENT_READ)
     selector.register(ended, selectors.EVENT_READ)
+    gc.set_threshold(_GARBAGE_OBJECTS)
     while asked or lines:
-        for source in [key.fileobj for key, _ in selector.select()]:
+        events = selector.select(0 if prepared else None)
+        if prepared and not events:
+            _prepare(prepared.popleft())
+        for source in [key.fileobj for key, _ in events]:
             if source is ended:
                 ended.recv(4096)
             elif source is not door:  # who uses this child does not want it any more, or is gone
@@ -216,9 +238,13 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
                 os.kill(lines[source], signal.SIGKILL)  # type: ignore[index]
             elif (request := _request(door)) is None:
                 selector.unregister(door)
+                prepared.clear()
                 asked = False
-            elif request[1]:
-                memory_bytes, files = request
+            elif not request[1]:
+                prepared.extend(request[0])
+            else:
+                (memory_bytes, call, prepare), files = request
+                _import(call, prepare)
                 calls, answers, line = files[0], files[1], socket.socket(fileno=files[2])
                 pid = os.fork()
                 if pid == 0:
@@ -242,8 +268,8 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
     os._exit(0)
 
 
-def _request(door: socket.socket) -> tuple[int | None, list[int]] | None:
-    """Memory, and pipes and line, of the next child (none: only imports were asked for); None at the end of all."""
+def _request(door: socket.socket) -> tuple[Any, list[int]] | None:
+    """A child that is wanted, with its pipes and line, or names to be prepared without any; None at the end of all."""
     size, files, _, _ = socket.recv_fds(door, _SIZE, 3)
     if len(size) < _SIZE:
         return None
@@ -252,14 +278,23 @@ def _request(door: socket.socket) -> tuple[int | None, list[int]] | None:
         if not (part := door.recv(length - len(request))):
             return None
         request += part
-    memory_bytes, call, prepare = pickle.loads(request)  # of the process that started this one
+    return pickle.loads(request), files  # of the process that started this one
+
+
+def _prepare(name: str) -> None:
+    with suppress(BaseException):  # who needs it meets it again, and says so
+        found = resolve_name(name)
+        if ":" in name:
+            found()
+
+
+def _import(call: bytes, prepare: bytes) -> None:
+    """Import what the first call of a child needs, and do what its preparation does, so that children share it."""
     with suppress(BaseException):  # the child meets it again, and says so
-        if call:
-            pickle.loads(call)
+        pickle.loads(call)
         if (preparation := pickle.loads(prepare)) is not None:
             preparation()
     gc.freeze()  # what is shared is not written to
-    return memory_bytes, files
 
 
 def _become_child(calls: int, answers: int) -> None:

@@ -7,10 +7,12 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from fractions import Fraction
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from tiler.core.lattice import Bounds, Lattice
 from tiler.redaction import stored
+
+if TYPE_CHECKING:  # numpy is not loaded before the children are on their way
+    from tiler.core.lattice import Bounds, Lattice
 
 Work = Callable[[str, Any], dict[str, Any]]
 """``work(store_url, arguments) -> record``: a module-level function (it travels by name), of a frozen dataclass that

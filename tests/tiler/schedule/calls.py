@@ -106,3 +106,16 @@ def perform(store_url: str, task: Task) -> Outcome:
         return Outcome(task, None, str(error), "InputError")
     except (OSError, MemoryError) as error:
         return Outcome(task, None, str(error), type(error).__name__, again=True)
+
+
+_prepared: list[int] = []
+
+
+def prepare() -> None:
+    """Remember which process did this."""
+    _prepared.append(os.getpid())
+
+
+def prepared() -> str:
+    """Who called `prepare`, if somebody did."""
+    return "by the server" if _prepared == [os.getppid()] else ""

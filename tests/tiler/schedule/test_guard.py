@@ -11,7 +11,7 @@ import pytest
 
 from tests.tiler.schedule import calls
 from tiler.errors import InputError
-from tiler.schedule import Died, Guard, kept_forking
+from tiler.schedule import Died, Guard, kept_forking, prepare_children
 
 SECONDS = 300.0
 
@@ -87,6 +87,18 @@ def test_children_have_the_environment_of_their_time(monkeypatch: pytest.MonkeyP
         monkeypatch.setenv("OF_NOW", "set")
         assert second.call(os.getenv, "OF_NOW", seconds=SECONDS) == "set"
         assert first.call(calls.double, 1, seconds=SECONDS) == 2
+
+
+def test_what_was_prepared_is_there_in_each_child() -> None:
+    with kept_forking():
+        prepare_children(
+            "tests.tiler.schedule.calls:prepare", "no.such.module", "tests.tiler.schedule.calls:fail"
+        )
+        found: list[str] = []
+        while not found or found[-1] == "":  # the first may have been forked before
+            with Guard() as guard:
+                found.append(guard.call(calls.prepared, seconds=SECONDS))
+    assert found[-1] == "by the server"
 
 
 def test_what_forks_them_is_shared_and_replaced_when_it_dies() -> None:
