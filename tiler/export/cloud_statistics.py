@@ -44,7 +44,7 @@ class CloudStatistics:
         for name, values in _fields(records, self._header.point_format):
             found = self._sums.setdefault(name, list(_NOTHING))
             if values.size:
-                low, high, total, squares = _sums(values)
+                low, high, total, squares = sums_of(values)
                 found[:] = [min(found[0], low), max(found[1], high), found[2] + total, found[3] + squares]
         names = records.dtype.names or ()
         if "gps_time" in names and self._header.global_encoding & 1:
@@ -88,7 +88,7 @@ def _fields(records: Records, point_format: int) -> Iterator[tuple[str, npt.NDAr
         yield from zip(("Red", "Green", "Blue"), rgb, strict=True)
 
 
-def _sums(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
+def sums_of(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
     """Lowest, highest, sum and sum of squares of integers of at most 32 bits, exact."""
     if values.dtype.itemsize <= 2:
         counts = np.bincount(values)
@@ -98,9 +98,9 @@ def _sums(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
     low, high, n = int(values.min()), int(values.max()), values.size
     raised = values.astype(np.int64) - low
     total = int(raised.sum())
-    if high - low < 1 << 22:
+    if n * (high - low) ** 2 < 1 << 63:
         squares = int(np.dot(raised, raised))
-    else:  # of 500,000 values the squares of both halves of the bits can be added
+    else:  # int64 holds the sums of the products of halves of 16 bits, of up to 2**31 values
         upper, lower = raised >> 16, raised & 0xFFFF
         parts = [int(np.dot(a, b)) for a, b in ((upper, upper), (upper, lower), (lower, lower))]
         squares = (parts[0] << 32) + (parts[1] << 17) + parts[2]
