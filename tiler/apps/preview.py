@@ -1,4 +1,4 @@
-"""A look at what the settings give, in seconds: a few windows of the clouds at full density, as one picture."""
+"""Preview of a run in seconds: a few windows of the clouds at full density, filtered, gridded and drawn."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MOST_POINTS = 700_000
 FILES = 6
 """Places for windows are sampled from so many files at most."""
 PLACES = 24
-"""Sampled of all files together, at least one of each."""
+"""Places that are sampled from all files together, at least one from each."""
 GAP = 6
 WIDE_PIXELS = 320
 """Pictures of windows have at least so many pixels a side."""
@@ -123,7 +123,7 @@ def make_preview(
 
 
 def _once(listener: Listener) -> Listener:
-    """Warnings of windows, each once; neither their notes nor their progress."""
+    """A listener that passes each warning on once, and neither notes nor progress."""
     told: set[str] = set()
 
     def tell(kind: str, facts: dict[str, Any]) -> None:
@@ -203,7 +203,7 @@ def _cut(
 
 
 def _settings(plan: Plan) -> RunConfig:
-    """Those of the run but for where and how much."""
+    """The settings of the run, without those of extent, output and resources."""
     return plan.config.updated(
         products=("dtm", "dsm"),
         resolution=plan.resolution,

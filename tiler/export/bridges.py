@@ -20,7 +20,7 @@ def write_bridges(store_url: str, work: WriteBridges) -> dict[str, Any]:
     """Write ``<out>/bridges.gpkg``; a `tiler.schedule.task.Work`.
 
     A polygon for the free part of each deck: ``length_m``, ``width_m``, ``clearance_m`` (height above what lies beside
-    it), ``points_below`` (seen beneath it, which is more than likely only where the scanner looked from the side).
+    it), ``points_below`` (points seen beneath it; more than a few only where the scanner looked from the side).
 
     The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
     """

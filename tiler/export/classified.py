@@ -37,7 +37,7 @@ ROWS_AT_ONCE = 1 << 27
 _STEP = SPOOL_CHUNK
 """Records that are read, changed and written at a time: the processor's cache holds them."""
 _CHUNKS_A_THREAD = 2
-"""Of 65,536 records, that each of several threads compresses at a time: they wait for the last one of each step."""
+"""Chunks of 65,536 records that each of several threads compresses in a step; at its end they wait for one another."""
 _FEW_BYTES = 1 << 14
 _MARK = 0x80
 _WAVE_FORMATS = (9, 10)
@@ -234,7 +234,7 @@ def _inside_area(store: TileStore, work: WriteClassified, first: int, last: int)
 def _rows_inside(
     store: TileStore, work: WriteClassified, first: int, last: int
 ) -> Iterator[tuple[Cell, npt.NDArray[np.int64], npt.NDArray[np.bool_]]]:
-    """Buckets with rows ``first`` to ``last`` of a source inside of the area: cell, all rows, which are these."""
+    """Buckets with rows ``first`` to ``last`` of a source inside of the area: cell, rows of its points, which count."""
     area = store.area(work.area)
     for cell in work.cells:
         whole = area is None or area.covers(store.meta.bucket.bounds(cell))
@@ -253,7 +253,7 @@ def _rows_inside(
 def _corrected(
     store: TileStore, edits: str, cell: Cell, labels: npt.NDArray[np.uint8]
 ) -> npt.NDArray[np.uint8]:
-    """Labels of a bucket as the corrections want them."""
+    """Labels of a bucket after the corrections."""
     found = store.edits(edits, store.meta.bucket.bounds(cell), OF_POINTS)
     if found is None:
         return labels

@@ -1,4 +1,4 @@
-"""Figures of the records of a cloud, exact whatever the pieces in which they come."""
+"""Statistics of the points of a cloud, exact and independent of the pieces in which they come."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tiler.io.las.reader import Records
 COORDINATES = ("X", "Y", "Z")
 
 _RETURNS = 15
-"""Of a pulse, that a header counts."""
+"""Number of returns of a pulse for which a header has a count."""
 _NOTHING = [2**63, -(2**63), 0, 0]
 
 
 class CloudStatistics:
-    """Adds up the fields of records that people ask for: sums are integers, so their order does not matter.
+    """Accumulates statistics of fields of point records; the sums are integers, so their order does not matter.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class CloudStatistics:
         self.by_return = [0] * _RETURNS
 
     def add(self, records: Records) -> None:
-        """Take in some records."""
+        """Add some records."""
         self.points += len(records)
         number = returns(records, self._header.point_format)[0]
         counts = np.bincount(np.minimum(number, _RETURNS), minlength=_RETURNS + 1)[1:].tolist()

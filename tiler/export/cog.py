@@ -152,7 +152,7 @@ def _read(store: TileStore, work: WriteCog, block: Block) -> npt.NDArray[np.floa
 
 
 def raster_look(frame: CoordFrame, work: ProductFile) -> RasterLook:
-    """What the file of a product says about itself."""
+    """The metadata of the file of a product."""
     product = _product(work)
     unit = unit_label(frame.units.vertical) if product.unit == HEIGHT else product.unit
     return RasterLook(

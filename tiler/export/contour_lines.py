@@ -19,13 +19,13 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 OFF_LEVEL = 1e-6
-"""Part of the interval by which a height that is that near to a level lies above it: lines never run through a pixel
-centre, where they would touch, and go around a lake whose level is one of theirs."""
+"""Part of the interval: heights that are nearer to a level are put this far above it. So lines never run through a
+pixel centre, where they would touch, and go around a lake that lies exactly on a level."""
 
 LINES_OF_RELIEF = 50
 """Levels at most over the relief of a run where the user names no interval."""
 LEAST_RELIEF = 0.5
-"""In units of the heights: flatter land has levels as if it were so uneven."""
+"""In units of the heights: the interval of flatter land is that of land with this relief."""
 STEPS = (1, 2, 5)
 """Intervals are one of these times a power of ten."""
 
@@ -215,7 +215,7 @@ class Joiner:
 
 
 def _from_least(places: Floats) -> Floats:
-    """A ring from its westernmost place on, so that it does not tell which block it was met in first."""
+    """A ring that starts at its westernmost vertex, so that it does not depend on the order of the blocks."""
     ring = places[:-1]
     first = int(np.lexsort((ring[:, 1], ring[:, 0]))[0])
     return np.concatenate((ring[first:], ring[: first + 1]))

@@ -25,16 +25,16 @@ from tiler.store import TileStore, open_store
 Floats = npt.NDArray[np.float64]
 
 BLOCK = 1024
-"""Pixels a side that are looked at at a time; which they are does not show in the lines."""
+"""Side in pixels of the blocks that are read one at a time; the lines do not depend on it."""
 INDEX_EVERY = 5
-"""Every which level is an index contour."""
+"""Every fifth level is an index contour."""
 BATCH = 500_000
 """Vertices that are written at once."""
 
 
 @dataclass(frozen=True)
 class _Terrain:
-    """Heights of a raster of the store, as far as they are wanted."""
+    """Heights of a raster of the store inside of the area."""
 
     store: TileStore
     raster: str
@@ -132,7 +132,7 @@ def _interval(given: Fraction | None, low: float, high: float) -> Fraction:
 def _lines(
     terrain: _Terrain, interval: Fraction, sigma: float, joiner: Joiner
 ) -> Iterator[tuple[int, Floats]]:
-    """Whole lines: level, and places in pixels."""
+    """Lines joined across blocks: number of the level, and vertices in pixels."""
     spec = terrain.spec
     for row in range(0, spec.height, BLOCK):
         for col in range(0, spec.width, BLOCK):

@@ -26,7 +26,7 @@ CACHE_MB = 64
 
 @dataclass(frozen=True)
 class RasterLook:
-    """What a raster says about itself.
+    """The metadata of a raster file.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ def plain_geotiff(
 
 @contextmanager
 def any_place() -> Iterator[None]:
-    """Do without rasterio's warning of a raster of whole units at (0, 0); a GeoTIFF keeps that place, too."""
+    """Suppress rasterio's warning of a raster with pixels of one unit at (0, 0), which a GeoTIFF stores correctly."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         yield

@@ -21,7 +21,7 @@ from tiler.store import open_store
 
 LAYER = "outline"
 MOST_VERTICES = 8_000
-"""Of the outline on the map of the report."""
+"""Most vertices of the outline on the map of the report."""
 
 
 def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Where the sheets lie: a tile index that GIS opens."""
+"""Tile index of the sheets, as a GeoPackage."""
 
 from __future__ import annotations
 

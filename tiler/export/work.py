@@ -101,7 +101,7 @@ class WriteCog(ProductFile):
 
 @dataclass(frozen=True, kw_only=True)
 class WriteMosaic(ProductFile):
-    """``sheets``: paths relative to ``out`` and their pixels, all on one lattice; at least one."""
+    """A VRT of a product; ``sheets``: paths relative to ``out`` and their pixels on one lattice, at least one."""
 
     sheets: tuple[tuple[str, RasterSpec], ...]
 
@@ -131,7 +131,7 @@ class SheetFile:
 
 @dataclass(frozen=True, kw_only=True)
 class WriteSheetIndex(NamedFile):
-    """Where sheets lie."""
+    """The tile index of the sheets."""
 
     sheets: tuple[SheetFile, ...]
 
@@ -170,14 +170,14 @@ class DrawnFile:
 
 @dataclass(frozen=True, kw_only=True)
 class WriteContours(DrawnFile):
-    """``sigma``: pixels, of the Gaussian that smooths the heights beforehand."""
+    """Contour lines; ``sigma``: pixels, of the Gaussian that smooths the heights beforehand."""
 
     sigma: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class WriteSpots(DrawnFile):
-    """``reach``: pixels around a spot in which nothing is higher, or lower."""
+    """Spot heights; ``reach``: pixels around a spot in which nothing is higher, or lower."""
 
     reach: int
 
@@ -209,7 +209,7 @@ class WriteClassified:
     area, edits : str or None
         Keys in the store of the area and of corrections.
     stamp : list or None
-        Of the source, as the plan found it: a file that was touched has the bytes that it had.
+        Of the source, as the plan found it: tells a file that was only touched from one that was changed.
     ranges : tuple of (int, int)
         First record and number of those that are looked at, whole chunks; of them only points inside the area are
         written. Empty: all points of the source are.
@@ -218,7 +218,7 @@ class WriteClassified:
     pieces : tuple of KeptPiece
         Of which the store may keep the records: the source is decoded where it does not.
     threads : int
-        That compress at a time: more than one where there are fewer clouds than workers.
+        Number of threads that compress: more than one where there are fewer clouds than workers.
     """
 
     path: str

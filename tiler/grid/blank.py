@@ -1,4 +1,4 @@
-"""Removes blocks of a raster that are to hold nothing any more."""
+"""Deletes the stored pixels of blocks of a raster, which then read as its fill value."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from tiler.store import open_store
 
 @dataclass(frozen=True)
 class BlankBlocks:
-    """Blocks of a raster that are to hold nothing any more."""
+    """Work: delete the stored pixels of some blocks of a raster."""
 
     name: str
     blocks: tuple[Block, ...]
 
 
 def blank_blocks(store_url: str, work: BlankBlocks) -> dict[str, Any]:
-    """Remove what is stored of some blocks, which then are the raster's fill; a `tiler.schedule.task.Work`.
+    """Delete the stored pixels of some blocks, which then read as the fill value; a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``blocks``: how many they were.
+        ``blocks``: their number.
     """
     open_store(store_url).erase_blocks(work.name, work.blocks)
     return {"blocks": len(work.blocks)}

@@ -1,7 +1,7 @@
 """Blocks of a raster: heights at pixel centres on the TIN of the ground points around them.
 
 The pixels depend on the data alone, not on the block or its halo: a facet fills a pixel only if its longest edge
-and its circumradius stay within a limit, so data farther than twice that limit have no say, and every pixel
+and its circumradius stay within a limit, so data farther than twice that limit have no influence, and every pixel
 that closer data beyond the window could change is marked. A block with marks is done again with more halo.
 """
 
@@ -30,11 +30,11 @@ from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
 
 SMALLEST_PART = 32
-"""Pixels a side below which a block is not divided any more."""
+"""Blocks of this many pixels a side, or fewer, are not divided further."""
 
 
 WIDEST_WINDOW = MAX_EXTENT // 2
-"""Counts of a window's side from which on a block is divided, so that the TIN is exact."""
+"""A block whose window has a side of this many counts, or more, is divided: the TIN would not be exact."""
 
 
 def full_halo(max_edge: Fraction) -> int:
@@ -87,7 +87,7 @@ Index = npt.NDArray[np.intp]
 def edit_heights(
     store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Heights
 ) -> list[tuple[int, int]]:
-    """Set heights that corrections say; number of each that touches the block, and how many pixels it changed."""
+    """Set the heights of corrections; returns for each that touches the block its number and the pixels it changed."""
     edits = None if key is None else store.edits(key, spec.block_bounds(block), OF_PIXELS)
     return [] if edits is None else edits.set_heights(spec, block, heights)
 
@@ -125,7 +125,7 @@ def _most_halo(work: GridBlock) -> int:
 def _heights(
     store: TileStore, works: Sequence[GridBlock], halo: int, tries: int
 ) -> Iterator[tuple[GridBlock, Heights, dict[str, Any]]]:
-    """As `heights_of_blocks`, of blocks that were tried before with less halo."""
+    """As `heights_of_blocks`, in attempt number ``tries``, which uses this halo."""
     whole = replace(works[0], block=hull_of(work.block for work in works))
     if len(works) > 1 and _too_full(store, whole, halo):
         for work in works:
@@ -146,12 +146,12 @@ def _heights(
             yield from _heights(store, (work,), min(2 * halo, _most_halo(work)), tries + 1)
             continue
         heights = heights_in_units(raster.heights[place])
-        told = {"pixels": heights.size, "marked": marked, "tries": tries, "halo": halo}
-        yield work, heights, {**told, **_counted(heights), **ground}
+        facts = {"pixels": heights.size, "marked": marked, "tries": tries, "halo": halo}
+        yield work, heights, {**facts, **_counted(heights), **ground}
 
 
 def _nothing(block: Block, halo: int) -> tuple[Heights, dict[str, Any]]:
-    """What would be found far from all points."""
+    """Heights and record of a block that is far from all points: without heights."""
     heights = np.full((block.height, block.width), NODATA, np.float32)
     none = dict.fromkeys(("marked", "ground_read", "ground_used", "ground_marked"), 0)
     return heights, {"pixels": heights.size, **_counted(heights), **none, "tries": 1, "halo": halo}
@@ -168,7 +168,7 @@ def _too_wide(work: GridBlock, halo: int) -> bool:
 
 
 def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
-    """Whether a block's window is too wide, or too full: of points the smallest part may hold any number."""
+    """Whether a block's window is too wide or holds more than ``max_points``, which the smallest parts may exceed."""
     side = max(work.block.height, work.block.width)
     if side > 1 and _too_wide(work, halo):
         return True

@@ -25,9 +25,9 @@ Counts = npt.NDArray[np.int64]
 PlaceCells = tuple[tuple[int, int, int], ...]
 
 AROUND_M = 45.0
-"""Around a place that may be a deck, in which points are looked at."""
+"""Points within this distance of a possible deck are examined."""
 VOXEL_M = (0.25, 0.25, 0.1)
-"""Of points in one of these one is looked at, so that neither density nor the order of points matters."""
+"""Sides of the voxels that points are reduced to, so that neither their density nor their order matters."""
 LOWEST = -(1 << 31)
 """Counts below which no point lies."""
 FEWEST = 12
@@ -38,14 +38,14 @@ MOST_DIRECTIONS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class FindDeckCells(BlockWork):
-    """A block of coarse cells of which some may be decks of bridges; ``rule`` as without corrections."""
+    """Work: find the coarse cells of a block that may be decks of bridges; ``rule`` is without corrections."""
 
     rule: GroundRule
 
 
 @dataclass(frozen=True)
 class ExamineDecks:
-    """Places of which each may be the deck of a bridge.
+    """Work: decide which of some places are decks of bridges.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
 
 
 def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
-    """Look whether places are decks of bridges; a `tiler.schedule.task.Work`.
+    """Decide which of some places are decks of bridges; a `tiler.schedule.task.Work`.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def _examine(
 
 
 def examined(spec: RasterSpec, cells: PlaceCells, metres: float) -> Bounds:
-    """Where the points lie that are looked at for some cells, counts."""
+    """Bounds of the points that are examined for some cells, counts."""
     rows, cols, _ = np.array(cells).T
     top, left = int(rows.min()), int(cols.min())
     block = Block(top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1)
@@ -200,7 +200,7 @@ def _cells(
 
 
 def _record(deck: Deck, metres: Any, corner: Any) -> dict[str, Any]:
-    """What the run keeps of a deck: in counts, but for its sizes."""
+    """The record of a deck: outline and surface in counts, sizes in metres."""
     ring = np.rint(deck.ring / metres[:2] + corner[:2]).astype(np.int64)
     (x, y), (a, b, c, d) = deck.centre, deck.surface
     flat, high = float(metres[0]), float(metres[2])

@@ -1,6 +1,6 @@
-"""Whether points that may be the deck of a bridge are one: they stand free, and a road goes on at both ends.
+"""Decides whether points are the deck of a bridge: it stands free, and a road goes on at both of its ends.
 
-Precision comes before recall. What must hold, each of it on its own:
+Precision comes before recall: each of these must hold.
 
 - The deck is smooth, and its edges are sharp: beside them hardly any point lies between the deck and what is below it.
   An embankment, or the bank of a ditch, has points on its slopes.
@@ -24,17 +24,17 @@ Surface = tuple[float, float, float, float]
 """Height = a + b s + c s^2 + d t: s along a deck, t across it."""
 
 END_M = 12.0
-"""Beyond the free part, within which the ground beside comes up and the road goes on."""
+"""Distance beyond the free part within which the ground beside comes up and the road goes on."""
 SHORTEST_M, NARROWEST_M, LONGEST_M, SLIMNESS, FEWEST_SLICES = 5.0, 2.0, 300.0, 1.0, 4
-"""Of a free part: its length, its width, its length over its width, and the slices in which it is looked at."""
+"""Limits of the free part: its length, its width, its longest length, length over width, and number of slices."""
 CLEARANCE_M = 2.0
-"""Of a deck at least: lower ones cannot be told from terraces, and from banks with plants."""
+"""Least height of a deck above what lies beside it: lower ones look like terraces, or banks with plants."""
 LEAST_SLICE_M, MOST_TURNS, STRAIGHT = 1.5, 2, 0.02
-"""Of a slice along a deck; how often its direction is corrected, and the slope of its edges that needs none."""
+"""Least length of a slice; most corrections of a deck's direction, and the slope of its edges that needs none."""
 ROAD_SLICES, FEWEST_ROAD, MOSTLY_ROAD = 3, 3, 0.5
 """Slices beyond an end in which the road has to go on; its ground points there at least, and their share of all."""
 INNER_M, WIDER_M = 0.7, 0.3
-"""How far within its edges a point is beneath a deck; and how much wider than its points it is drawn."""
+"""Distance within a deck's edges from which on a point lies beneath it; how much wider than its points it is drawn."""
 ALIKE, ALIKE_M = 0.35, 0.7
 """Share of the clearance, and metres, by which the two sides may differ in height."""
 

@@ -18,13 +18,13 @@ Ints = npt.NDArray[np.int64]
 DIRECTIONS = 8
 """Directions across a deck that are tried, from east by north to west."""
 DROP_M = 1.0
-"""By which the ground beside a deck is lower at least where it stands free."""
+"""Least height of a deck above the ground beside it, where it stands free."""
 CLEAR_M = 1.8
-"""By which it is lower beside its highest part, which is what is looked for."""
+"""Least height of the highest part of a deck above the ground beside it; such parts are searched first."""
 STEP_M = 0.5
-"""By which heights of neighbouring cells of a deck may differ."""
+"""Largest difference of height between neighbouring cells of a deck."""
 WIDEST_M, LONGEST_M, VOID_M = 40.0, 60.0, 40.0
-"""Of a deck; how far along it to both sides the road that goes on is looked for; and the bank of water beside it."""
+"""Widest deck; distance along it, either way, to where the road reaches ground; distance to the far bank of water."""
 REACH_M = WIDEST_M + LONGEST_M + VOID_M
 
 

@@ -1,4 +1,4 @@
-"""What stands beside the two edges of a deck, slice by slice along it."""
+"""The two edges of a bridge deck, and the height of what lies beside them, in slices along the deck."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 TOLERANCE_M = 0.3
-"""From the surface of a deck within which a point is of it."""
+"""Points nearer than this to the surface of a deck belong to it."""
 BESIDE_M = 4.0
-"""Beside an edge within which the ground has to be lower."""
+"""Distance from an edge within which the ground has to be lower."""
 FARTHER_M = 40.0
 """Where nothing returns beside an edge, as from water: how far the next point may be."""
 BETWEEN = 0.34
-"""Of the points below deck level beside an edge, the share that lies at heights between at most."""
+"""Largest share of the points beside an edge that may lie at heights between the deck and the ground below it."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Rasters made of rasters of the store, block by block; neighbours across the block's edge are read as well."""
+"""Hillshade, slope and height above ground, block by block from other rasters and their pixels around the block."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Float64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class DeriveBlock(BlockWork):
-    """A block of a raster that follows from others.
+    """Work: one block of a raster that is computed from other rasters.
 
     Attributes
     ----------
     sources : tuple of str
         The terrain's raster; for ``ndsm`` the surface's and the terrain's.
     fill : float
-        Where it has no value.
+        Value of pixels that have none.
     """
 
     sources: tuple[str, ...]
@@ -35,7 +35,7 @@ class DeriveBlock(BlockWork):
 
 
 def derive_block(store_url: str, work: DeriveBlock) -> dict[str, Any]:
-    """Write one block of a raster that follows from others; a `tiler.schedule.task.Work`.
+    """Write one block of a raster that is computed from other rasters; a `tiler.schedule.task.Work`.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def _slope(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[s
 
 
 def _ndsm(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]) -> Float64:
-    """Nowhere negative, since the surface is not below the terrain, but over voids that were filled."""
+    """Surface minus terrain: the surface is nowhere below the terrain, except in voids that were filled."""
     surface, terrain = sources
     return _read(store, surface, block) - _read(store, terrain, block)
 

@@ -19,12 +19,12 @@ from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
 FIRST_SHARE = 4
-"""The first look at a block reaches this part of the cap; few blocks need more."""
+"""Points are first searched within the cap divided by this; few blocks need the whole cap."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DistanceBlock(PointsBlock):
-    """``cap``: counts; what lies farther from all ground points has this distance."""
+    """Work: one block of the distance to the nearest ground point, ``cap`` counts at most."""
 
     cap: Fraction
 

@@ -33,8 +33,8 @@ def survey_edit(store_url: str, work: SurveyEdit) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``points`` inside; ``ground_before``, ``ground_after`` of them; ``lowest``: whether the lowest points are made
-        ground, as the input calls none ground (or its classes are the ones that are corrected).
+        ``points`` inside; ``ground_before``, ``ground_after`` of them; ``lowest``: whether the lowest points become
+        ground, because the input classifies none as ground (or its own classes are being corrected).
     """
     store, rule, edit = open_store(store_url), work.rule, work.edit
     origin = store.meta.frame.origin
@@ -58,7 +58,7 @@ def survey_edit(store_url: str, work: SurveyEdit) -> dict[str, Any]:
 
 
 def _given(edit: Edit, block: PointBlock, classes: Classes, origin: tuple[int, int]) -> bool:
-    """Whether the input calls a point inside ground."""
+    """Whether the input classifies a point inside the correction as ground."""
     rows = np.flatnonzero((block.classification == GROUND) & can_be_ground(block, classes))
     x, y = (block.xyz[axis][rows].astype(np.int64) + origin[axis] for axis in (0, 1))
     return bool(edit.area.inside(x, y).any())

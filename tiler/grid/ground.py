@@ -27,13 +27,13 @@ class GroundRule:
     Attributes
     ----------
     labels : str or None
-        Pass whose labels tell the class; None: the class that the input brought.
+        Pass whose labels are the classes; None: the classes of the input.
     classes : tuple of int
     skip_flags : int
         Bits of `PointBlock.flags` that keep a point out; withheld points always stay out.
     erode : Fraction
-        Counts in plan. A ground point within that distance of an object's point that is higher by ``erode_rise``
-        counts (vertical) is none: what image matching leaves of walls. 0: all count.
+        Counts in plan. Ground points so near to an object's point that is higher by ``erode_rise`` vertical counts are
+        left out: image matching smears walls onto the ground beside them. 0: none are.
     edits : str or None
         Key in the store of the corrections that have the last word on what is ground.
     """
@@ -59,7 +59,7 @@ Choose = Callable[[Cell, npt.NDArray[np.int32]], npt.NDArray[np.intp]]
 
 @dataclass(frozen=True)
 class Ground:
-    """``xyz``: int32, shape (3, n), local counts; ``read`` points they were, of which ``marked`` carry `MARK_BIT`."""
+    """Ground points ``xyz`` (int32 (3, n), local counts), of ``read`` ones; ``marked`` of these have the `MARK_BIT`."""
 
     xyz: npt.NDArray[np.int32]
     read: int
@@ -119,7 +119,7 @@ def read_classes(
 def _objects_at_edges(
     store: TileStore, rule: GroundRule, bounds: Bounds
 ) -> dict[Cell, npt.NDArray[np.int32]]:
-    """Objects of each bucket around ``bounds`` that have a say in its neighbours: those near its edges."""
+    """Points of objects, by bucket, that lie near enough to the bucket's edge to erode ground beyond it."""
     reach, origin = math.ceil(rule.erode), store.meta.frame.origin
     found = {}
     for cell in store.buckets_within(bounds.pad(reach)):

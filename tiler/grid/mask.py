@@ -28,7 +28,7 @@ class MaskBlock(PointsBlock):
     Attributes
     ----------
     dtm, filled : str
-        Rasters of heights within the limit, and of those that people get, with holes filled and cut by the outline.
+        Rasters of the heights within the limit, and of the delivered ones: with holes filled, cut at the outline.
     survey : str
     coarse : RasterSpec
         Of the cells of the survey.

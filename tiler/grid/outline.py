@@ -1,4 +1,4 @@
-"""Heights of a model as far as the survey reaches, and level where there is water."""
+"""Cuts a terrain or surface model at the outline of the survey, and levels its water."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tiler.store import open_store
 
 @dataclass(frozen=True, kw_only=True)
 class OutlineBlock(BlockWork):
-    """A block of a model with its water level, and without the heights beyond the survey.
+    """Work: one block of a model, cut at the outline of the survey and with level water.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class OutlineBlock(BlockWork):
     coarse : RasterSpec
         Of the cells of the survey.
     cut : bool
-        Leave out what lies beyond the survey.
+        Whether heights beyond the survey are removed.
     waters, edits : str or None
         Keys in the store of bodies of water and of corrections, which come after them; those that touch a block are
         in its digest.
@@ -44,7 +44,7 @@ class OutlineBlock(BlockWork):
 
 
 def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
-    """Write one block of a model with level water and without heights beyond the survey; a `tiler.schedule.task.Work`.
+    """Write one block of a model, cut at the survey's outline and with level water; a `tiler.schedule.task.Work`.
 
     Facets span a concave border of the survey: land that was never surveyed would get a height from its rim. They also
     span rivers that leave the survey: there water stays.

@@ -1,7 +1,7 @@
 """The surface model: the highest return of each pixel without spikes, and the TIN of these where a pixel has none.
 
-It is never below the terrain. Returns that are lie under it by the slope within their pixel, or are low noise that the
-filter did not call so, or steep ground that it took for noise.
+It is never below the terrain. Returns that are below it come from the slope within their pixel, from low noise that the
+filter missed, or from steep ground that it took for noise.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ DEEP_M = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceBlock(TinBlock):
-    """A block of the surface model.
+    """Work: one block of the surface model.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Coarse raster of the extent of the survey, which tells voids inside it from what lies outside.
+"""Coarse raster of the extent of the survey, which distinguishes voids inside it from the area outside.
 
 A coarse cell is occupied if it holds a point that counts as surface. Gaps up to a width, 20 m or more (`gap_of`),
 belong to the survey (a closing by a disk of half that width); so does whatever is enclosed, however wide. What remains
@@ -32,7 +32,7 @@ Runs = list[list[int]]
 
 @dataclass(frozen=True)
 class MakeSurvey:
-    """The raster of the survey, made at once.
+    """Work: the whole raster of the extent of the survey.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class MakeSurvey:
     spec : RasterSpec
         Of the coarse cells.
     occupancy : str
-        Name of that raster.
+        Name of the raster of occupied cells.
     gap, most_gap : float
         Cells: a gap that belongs to every survey, and the widest that belongs to one of sparse points.
     pixels : RasterSpec
@@ -108,9 +108,9 @@ def survey_raster(store_url: str, work: MakeSurvey) -> dict[str, Any]:
 
 
 LEAST_GAP = 6
-"""Cells: a narrower disk is hardly one."""
+"""Cells: a disk of a smaller diameter is not round."""
 ENOUGH_CELLS = 4
-"""Occupied cells in a square of half a gap, in the mean of those with any: from there on gaps are no accident."""
+"""Mean occupied cells of the squares, half a gap wide, that hold any: where there are so many, gaps are real."""
 
 
 def gap_of(occupied: Bools, gap: float, most: float) -> float:
@@ -188,7 +188,7 @@ def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pa
 
 
 def _merged(runs: list[tuple[int, int]], size: int) -> list[tuple[int, int]]:
-    """Runs of a row from the west, those that overlap or follow one another as one."""
+    """Runs of a row from west to east, merged where they overlap or touch."""
     found: list[tuple[int, int]] = []
     for first, last in sorted(set(runs)):
         if found and first <= found[-1][1] + size:

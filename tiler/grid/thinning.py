@@ -30,7 +30,7 @@ def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[G
     if work.thin is None:
         ground = read_ground(store, work.rule, window)
         return ground, ground.xyz
-    # Cells that the window cuts are read whole, so that the choice in them is everybody's choice.
+    # Cells that the window cuts are read whole, so that all windows choose the same point in them.
     origin = store.meta.frame.origin
     choose = _choice(work.thin, work.percent, origin)
     by_bucket = partial(_whole_cells, choose, work.thin, store.meta.bucket, origin)
@@ -40,7 +40,7 @@ def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[G
 
 
 def _choice(cell: Lattice, percent: int | None, origin: tuple[int, int]) -> Callable[[Counts], Index]:
-    """Which point of each cell makes the surface."""
+    """The function that chooses the point of each cell that makes the surface."""
     if percent is None:
         return partial(central_points, origin=origin, lattice=cell)
     return partial(ranked_points, origin=origin, lattice=cell, percent=percent)
@@ -63,7 +63,7 @@ def _whole_cells(
 def central_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> Index:
     """Indices of the point nearest to the centre of each cell; of equal ones the first by (x, y, z).
 
-    The nearest to the centre, not the lowest: the surface stays where it is on the mean.
+    The nearest to the centre, not the lowest, so that the surface is not lowered on average.
 
     Parameters
     ----------

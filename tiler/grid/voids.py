@@ -27,10 +27,10 @@ from tiler.store import TileStore, open_store
 Int32 = npt.NDArray[np.int32]
 
 PIECE = BLOCK_PIXELS
-"""Pixels a side that are looked at at a time."""
+"""Side in pixels of the pieces that are processed one at a time."""
 
 NEAR = 2
-"""Pixels: whatever fills a hole lies nearer to it."""
+"""Pixels: heights farther from a hole have no influence on how it is filled."""
 
 AROUND = np.ones((3, 3), np.bool_)
 

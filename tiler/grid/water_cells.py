@@ -37,17 +37,17 @@ NEAREST = 20
 LOW_PERCENT = 20
 """and the percentile of their heights."""
 RISE_M, FALL_M = 0.3, 0.2
-"""By which the ring is higher, or lower, than the shore."""
+"""Least difference of height by which a place of the ring is above, or below, the shore."""
 LEAST_RISING, MOST_FALLING = 0.6, 0.05
-"""Share of the ring that is so around water."""
+"""Around water, at least this share of the ring is above the shore, and at most that share below it."""
 ALMOST_RISING = 0.45
-"""Share before the area goes on to where returns are as many as on land."""
+"""Least share above the shore before the area is extended to where returns are as many as on land."""
 LEAST_KNOWN = 0.4
-"""Share of the shore with ground: less tells nothing."""
+"""Least share of the shore that has ground heights: with less nothing is decided."""
 LEAST_CELLS = 20
-"""Of shore and ring, from which on they tell anything."""
+"""Fewest cells of shore and of ring with which anything is decided."""
 GIVEN_SHARE = 0.03
-"""Share of cells that the input calls water, from which on a candidate is, unless its ring falls."""
+"""A candidate with this share of cells that the input calls water is water, unless its ring is lower."""
 
 GROW_M = 40.0
 """How far water with returns goes on beyond the cells where they are few,"""
@@ -59,7 +59,7 @@ BRIDGE_M, UNDER_BRIDGE_M = 14.0, 0.5
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """What coarse cells tell, all arrays of one shape.
+    """Returns, classes and ground heights of coarse cells, in arrays of one shape.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Found:
 
 
 def dense_enough(cells: Cells) -> Cells:
-    """Cells so large that one without a return is no accident."""
+    """Cells merged two by two until one without a return is significant."""
     while min(cells.returns.shape) > 8 and _usual(cells) < ENOUGH_RETURNS:
         cells = cells.coarser()
     return cells
@@ -130,7 +130,8 @@ def find_water(cells: Cells, trusted: bool) -> Iterator[Found]:
     cells : Cells
         As `dense_enough` gives them.
     trusted : bool
-        Few returns tell of water; False for matched clouds, which have holes anywhere: there the input's class decides.
+        Whether few returns are a sign of water; False for matched clouds, which have holes anywhere: there the input's
+        class decides.
     """
     flat = _relief(cells.ground) < FLAT_M
     candidates = cells.given.copy()

@@ -21,14 +21,14 @@ from tiler.store import TileStore, open_store
 ROUND = 0.25
 """4 pi area / length of the shore squared, 1 for a disk: what has less is long, and so a river."""
 LEAST_LENGTH = 3
-"""Widths that a river is long."""
+"""A river is at least so many times as long as it is wide."""
 SIMPLER = 0.75
-"""Cells that a polygon may differ from the cells, so that its shore is no staircase."""
+"""Cells by which a polygon may differ from its cells, so that its shore is smooth."""
 
 
 @dataclass(frozen=True)
 class FindWater:
-    """The water of a run, found at once.
+    """Work: find the water of a whole run.
 
     Attributes
     ----------
@@ -44,9 +44,9 @@ class FindWater:
     gap : float
         Cells: a gap between points up to this width may be water.
     trusted : bool
-        Few returns tell of water; False: only the input's class does.
+        Whether few returns are a sign of water; False: only the input's class is.
     lake_m2, river_width_m, island_m2 : float
-        The smallest that are wanted.
+        The smallest that are kept.
     """
 
     heights: str

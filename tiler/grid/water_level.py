@@ -26,20 +26,20 @@ from tiler.store import TileStore, open_store
 Floats = npt.NDArray[np.float64]
 
 SHORE_PIXELS = 2
-"""Width of the shore whose heights are looked at."""
+"""Width of the strip along the water whose heights are used."""
 SHORE_PERCENT = 10
 """Percentile of the shore's heights at which the water stands: at or just below the bank."""
 STATION_PIXELS = 10
-"""Least distance of the places of a river at which its level is looked for."""
+"""Least distance between the places along a river where its level is estimated."""
 LEAST_PIXELS = 5
-"""From which on heights of the shore, or of the water, tell a level."""
+"""Fewest heights of the shore, or of the water itself, from which a level is estimated."""
 MOST_WITHIN = 50_000
-"""Pixels of the water itself that are looked at, about."""
+"""About how many pixels of the water itself are used at most."""
 
 
 @dataclass(frozen=True)
 class LevelWater:
-    """A body of water whose height is to be found.
+    """Work: estimate the level of a body of water.
 
     Attributes
     ----------

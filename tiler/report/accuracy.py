@@ -1,4 +1,4 @@
-"""How good the result is, where someone measured it: what `tiler check` and `tiler evaluate` found, as JSON in OUT."""
+"""The report's section on accuracy, from the JSON files that `tiler check` and `tiler evaluate` left in OUT."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
 
 
 def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) -> list[Content]:
-    """Tables of what was measured; where nothing was, how to."""
+    """Tables of what was measured; where nothing was, the commands that measure."""
     found: list[Content] = []
     for name, measured in ((CHECK, check), (EVALUATION, evaluation)):
         if "unreadable" in measured:

@@ -1,4 +1,4 @@
-"""The part of the report on what was drawn: water, bridges, corrections, lines; and the layers of the map."""
+"""The report's section on water, bridges, corrections, breaklines and contours, and the layers of its map."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ LAYERS = {
     "breaklines": ("breaklines", "#0b7a75", False),
     "edits": ("corrections", "#d1341f", False),
 }
-"""Of the map, from the lowest: title, colour, and whether what it surrounds is tinted."""
+"""Layers of the map from the lowest: title, colour, and whether the area inside is tinted."""
 
 
 def shapes(run: Run) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
 from tiler.report.runfile import title_of
 
 MOST_TILES = 20_000
-"""On the map, of all stages together: a page of 5 MB holds no more. Stages that do not fit are left out whole."""
+"""Most tiles on the map, of all stages together: a page of 5 MB holds no more. A stage is shown whole or not at all."""
 
 MOST_FILES = 5_000
 TIME_COLOURS = 16
@@ -25,9 +25,9 @@ Extent = tuple[float, float, float, float]
 
 
 def with_earlier_times(run: Mapping[str, Any], out: Path) -> dict[str, Any]:
-    """The same, and the tiles that an earlier run did have their time and memory, from its events.
+    """The content of run.json, in which tiles that an earlier run made get their time and memory from its events.
 
-    The last time that a task was done is that of the result which now holds: whatever is done anew is told anew.
+    The last event of a task belongs to the result which now holds: a task that is done again logs a new event.
     """
     tiles = {stage: [dict(tile) for tile in of_stage] for stage, of_stage in run.get("tiles", {}).items()}
     unknown: dict[tuple[str, str], dict[str, Any]] = {

@@ -17,7 +17,7 @@ from tiler.report.pictures import small_hillshade
 from tiler.report.sections import counted, figures, noted, sentence, settled, state_text, value_text, warned
 
 PICTURE_PIXELS = 480
-"""Of the longer side of a picture; a smaller raster is shown as large as whole pixels make it."""
+"""Pixels of the longer side of a picture; a smaller raster is enlarged by a whole factor."""
 MOST_LINKS = 12
 MOST_NOTES = 20
 

@@ -39,7 +39,7 @@ def header(run: Run, title: str) -> Node:
 
 
 def state_text(run: Run) -> str:
-    """How the run stands, in a few words."""
+    """The state of the run in a few words."""
     if run["state"] == "done" and _left_out(run):
         return "Finished, with something left out"
     return STATES.get(run["state"], str(run["state"]))
@@ -67,7 +67,7 @@ def sentence(run: Run) -> str:
 
 
 def counted(number: int, name: str) -> str:
-    """So many of what has a name."""
+    """A number and a noun, in the plural unless it is 1."""
     return f"{number:,} {name}" if number == 1 else f"{number:,} {name}s"
 
 
@@ -152,7 +152,7 @@ class Settled(NamedTuple):
 
 
 def settled(run: Run) -> list[Settled]:
-    """What the settings became that can be left to tiler."""
+    """The values of those settings that tiler can choose by itself."""
     plan, config = run["plan"], run["configuration"]
     memory, declared = plan["memory_bytes"], "what the files declare"
     units = " and ".join(dict.fromkeys(plan.get("units", {}).values()))
@@ -172,7 +172,7 @@ def settled(run: Run) -> list[Settled]:
 
 
 def noted(run: Run) -> list[str]:
-    """What was told on the way, each text once."""
+    """The notes of the plan and of the run, each once."""
     return list(dict.fromkeys([*run["plan"].get("notes", ()), *run.get("notes", ())]))
 
 
@@ -182,7 +182,7 @@ def warned(run: Run) -> list[str]:
 
 
 def decisions(run: Run) -> Node:
-    """What was settled without being asked for, and why."""
+    """The section on what was decided automatically, and why."""
     told = [el("li", text) for text in noted(run)[:MOST_ROWS]]
     found = list(_measured(run))
     content: list[Content] = [table(("setting", "value", "by", "why"), settled(run))]
@@ -202,11 +202,11 @@ FIGURES_IN_WORDS = {
     "survey / label_sigma_m": "noise of heights that labels allow for, m",
     "survey / several": "share of points that are one of several returns",
 }
-"""Figures that passes measure, as people know them; others have the names that the passes give them."""
+"""Readable names of figures that passes measure; others keep the names that the passes give them."""
 
 
 def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
-    """Pass, figure and value; what a pass only hands on from those before, so knowing more than they, is told once."""
+    """Pass, figure and value; a figure that later passes only hand on is listed once, with the first pass."""
     known: dict[str, str] = {}
     states = {step: dict(_flat("", state)) for step, state in run.get("statistics", {}).items()}
     for step, state in sorted(states.items(), key=lambda found: len(found[1])):

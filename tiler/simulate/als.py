@@ -42,7 +42,7 @@ WATER_RETURNS = 0.03
 
 @dataclass(frozen=True)
 class AlsSensor:
-    """Metres, degrees and counts per square kilometre in the names.
+    """An airborne laser scanner; names have the units: metres, degrees, counts per square kilometre.
 
     Attributes
     ----------

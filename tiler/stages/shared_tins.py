@@ -22,11 +22,11 @@ from tiler.plan.memory import GROUND_BYTES, JOINED_BYTES
 from tiler.schedule import Task
 
 MOST_PIXELS = 16 * BLOCK_PIXELS**2
-"""Of a task: they take 13 bytes each, which is little beside the base of a worker."""
+"""Most pixels of a task: they take 13 bytes each, which is little beside the base of a worker."""
 TASKS_PER_WORKER = 4
-"""Tasks are divided for the sake of workers that would wait for others until there are so many."""
+"""Tasks are divided, so that no worker waits for the others, until there are this many for each worker."""
 WORTH_DIVIDING = 0.95
-"""Of the time that the longest worker takes: it has to fall to that."""
+"""Dividing must shorten the time of the worker that is done last to this share."""
 
 Records = Mapping[Cell, Mapping[str, Any]]
 Ints = npt.NDArray[np.int64]
@@ -34,7 +34,7 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Group:
-    """Blocks of a task and buckets of its window, indices of both; what there is to do: points and pixels."""
+    """Blocks of a task and buckets of its window, as indices, and the numbers of their points and pixels."""
 
     blocks: Ints
     buckets: Ints
@@ -48,7 +48,7 @@ class _Group:
 
 
 def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: int) -> list[Task]:
-    """Tasks of blocks of the terrain as few tasks with one TIN each, those with most to do first.
+    """Join tasks of single blocks of the terrain into few tasks with one TIN each, the largest first.
 
     As many as the memory of a worker asks for, and as keep all workers at work to the end. Blocks of other
     interpolations stay alone: natural neighbours at the hull depend on the window, and IDW takes much memory a pixel.
@@ -80,7 +80,7 @@ def _joined(parts: Sequence[Task]) -> Task:
 
 
 def _fitting(survey: _Survey, most: int) -> list[_Group]:
-    """Groups of at most so many points, or of one block; none has more between its blocks than around them."""
+    """Groups of at most so many points, or of one block; no group costs more than its two halves together."""
     found, todo = [], [survey.whole()]
     while todo:
         group = todo.pop()
@@ -97,7 +97,7 @@ def _too_large(group: _Group, most: int) -> bool:
 
 
 def _busy(survey: _Survey, groups: list[_Group], workers: int) -> list[_Group]:
-    """Groups divided further where that lets the workers be done earlier, for all that they then do twice."""
+    """Groups divided further where all workers are then done earlier, although points are triangulated twice."""
     best, earliest = groups, _longest(groups, workers)
     while len(groups) < TASKS_PER_WORKER * workers:
         *rest, largest = sorted(groups, key=lambda group: (len(group.blocks) > 1, group.cost))
@@ -115,7 +115,7 @@ def _total(groups: Iterable[_Group]) -> int:
 
 
 def _longest(groups: Sequence[_Group], workers: int) -> int:
-    """What the worker that is done last has done, where each takes the largest group that is left."""
+    """Cost of the groups of the worker that is done last, where each takes the largest group that is left."""
     ends = [0] * workers
     for cost in sorted((group.cost for group in groups), reverse=True):
         heapq.heapreplace(ends, ends[0] + cost)
@@ -140,7 +140,7 @@ class _Survey:
         return self._group(np.arange(len(self._start)), np.arange(len(self._cells)))
 
     def halves(self, group: _Group) -> list[_Group]:
-        """The blocks on both sides of the line that leaves least on the fuller side; none of a single block."""
+        """The group in two parts, by the line with the cheapest larger part; none of a single block."""
         found: list[tuple[int, int, int, list[_Group]]] = []
         for axis in (0, 1):
             starts = self._start[group.blocks, axis]
@@ -151,7 +151,7 @@ class _Survey:
         return min(found)[-1] if found else []
 
     def _group(self, blocks: Ints, buckets: Ints) -> _Group:
-        """Some blocks, around which no other buckets have points than these."""
+        """The group of some blocks; only these buckets have points around them."""
         row, col = self._start[blocks].min(axis=0).tolist()
         height, width = (self._stop[blocks].max(axis=0) - (row, col)).tolist()
         window = self._spec.block_bounds(Block(row, col, height, width)).pad(self._halo)

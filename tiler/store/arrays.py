@@ -142,13 +142,13 @@ def open_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray:
 
 
 def made_rows(storage: Storage, path: str, kind: ArrayKind, rows: int) -> StoredArray:
-    """The array at ``path``, made by the first task that writes to it; others make the same."""
+    """The array at ``path``, made where there is none; tasks that do so at the same time make the same."""
     array = find_array(storage, path, kind)
     return array or write_metadata(storage, path, (rows, *kind.chunks[1:]), kind)
 
 
 def lengthen_rows(storage: Storage, path: str, kind: ArrayKind, rows: int) -> None:
-    """Make the array at ``path``, or let it be longer; never shortens."""
+    """Make the array at ``path``, or lengthen it to ``rows``; never shortens it."""
     array = made_rows(storage, path, kind, rows)
     if array.rows < rows:
         write_metadata(storage, path, (rows, *kind.chunks[1:]), kind, array.attributes)
@@ -161,9 +161,9 @@ def write_metadata(
     kind: ArrayKind,
     attributes: dict[str, Any] | None = None,
 ) -> StoredArray:
-    """Say what an array is from now on: its chunks stay as they are.
+    """Write the metadata of an array, new or changed; its chunks stay as they are.
 
-    Made by zarr in memory: with a checksum they reach the store in one piece.
+    Zarr makes them in memory, so that they reach the store in one piece and with a checksum.
     """
     attributes = attributes or {}
     blosc = BloscCodec(typesize=kind.shuffled, cname=kind.codec, clevel=kind.level, shuffle="shuffle")

@@ -14,7 +14,7 @@ from tiler.store.storage import Storage
 
 
 class BucketStore(points.ColumnStore):
-    """The points, their index, and what passes say of them."""
+    """The points of a store by bucket, and the index of the buckets."""
 
     def __init__(self, storage: Storage, meta: StoreMeta) -> None:
         super().__init__(storage, meta)

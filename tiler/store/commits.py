@@ -18,7 +18,7 @@ class CommitStore(StorePart):
     """Which tasks are done."""
 
     def commit(self, stage: str, key: str, digest: str, record: Mapping[str, Any]) -> None:
-        """Say, after its data are written, that a task is done; replaces what was said of it before."""
+        """Record that a task is done, after its data are written; replaces an earlier record of it."""
         self._storage.put_json(layout.commit_key(stage, key), {"digest": digest, "record": dict(record)})
 
     def committed(self, stage: str) -> Commits:
@@ -49,7 +49,7 @@ class CommitStore(StorePart):
                 self._storage.delete(layout.commit_key(stage, name))
 
     def uncommit(self, stage: str, *keys: str) -> None:
-        """Take back that some tasks are done (*coordinator*). The pack is written once, however many they are."""
+        """Remove the records of some tasks (*coordinator*). The pack is written once, however many they are."""
         if not keys:
             return
         pack = self._packed(stage)
@@ -62,7 +62,7 @@ class CommitStore(StorePart):
             self._storage.delete(layout.commit_key(stage, key))
 
     def clear(self, stage: str) -> None:
-        """Take back everything that a stage has done (*coordinator*)."""
+        """Remove the records of all tasks of a stage (*coordinator*)."""
         self._storage.delete(layout.pack_key(stage))
         self._storage.delete_folder(f"commits/{layout.safe(stage)}")
 

@@ -1,4 +1,4 @@
-"""What passes say: a label for each point of a bucket, and points that they elect, in the first places of its rows."""
+"""Results of passes: a label for each point of a bucket, and elected points, in the first places of its rows."""
 
 from __future__ import annotations
 
@@ -95,5 +95,5 @@ class LabelStore(BucketStore):
 
 
 def _places(bucket: Bucket) -> list[points.Part]:
-    """The rows that a bucket has for elected points: whole, as only they say how many there are."""
+    """The rows of a bucket as a whole: how many elected points they hold is known once they are read."""
     return [points.Part(bucket, part.row, ROW_POINTS) for part in points.parts_of(bucket, count_of(bucket))]

@@ -60,9 +60,9 @@ class ArrayKind:
     item : int
         Bytes that the shuffle treats as one item; 0: those of the dtype.
     codec : str
-        Of blosc: points, labels and spool are read often and by many, so that its time counts more than its bytes.
+        Compressor within blosc: points, labels and spool are read so often that speed matters more than size.
     level : int
-        Of the codec.
+        Of the compressor.
     """
 
     dtype: str
@@ -119,7 +119,7 @@ COLUMNS = (
 )
 LABELS = ArrayKind("uint8", (1, 1, ROW_POINTS))
 NOWHERE = -(2**31)
-"""x of the places in a bucket's rows that hold no elected point: as many as they are come first."""
+"""x of the places in a bucket's rows that hold no elected point; elected points fill the first places."""
 ELECTED = ArrayKind("int32", (1, 3, ROW_POINTS), fill=NOWHERE)
 
 
@@ -211,14 +211,14 @@ _KEYS = re.compile(
     rf"|index/(current\.json|{_HEX}\.npy)"
     rf"|commits/{_NAME}/{_NAME}\.json|(packs|state)/{_NAME}\.json|trial/{_HEX}"
 )
-# What zarr's local store writes before it renames.
+# Temporary names of files that are renamed when they are whole.
 _SCRATCH = re.compile(
     rf"((points|labels|elected|rasters|spool|records|index|commits|packs|state|trial)/(.+/)?)?[^/]+\.{_HEX}\.partial"
 )
 
 
 def is_scratch(key: str) -> bool:
-    """Whether a key is that of a write of zarr that was killed."""
+    """Whether a key is the temporary name of a write, left behind where that was killed."""
     return _SCRATCH.fullmatch(key) is not None
 
 

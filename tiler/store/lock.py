@@ -115,7 +115,7 @@ def refuse_if_held(storage: Storage) -> None:
 
 
 def is_foreign(storage: Storage) -> bool:
-    """Whether what has the name of a lease is none: leases appear whole."""
+    """Whether the object with the name of a lease is something else; leases appear whole, so none is damaged."""
     holder = _holder(storage, LOCK_KEY)
     return holder is not None and holder["host"] == DAMAGED
 
@@ -129,10 +129,10 @@ def _holder(storage: Storage, key: str) -> dict[str, Any] | None:
 
 
 def _here() -> dict[str, str]:
-    """What tells this machine and its table of processes from all others.
+    """Identity of this machine and of its table of processes.
 
     Containers of one machine may share a name but not their processes, and machines may share a name. A boot has an
-    identity, and so have the tables of processes of one boot; empty where the system does not tell.
+    identity, and so have the tables of processes of one boot; empty where the system has none.
     """
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()

@@ -181,7 +181,7 @@ def remove_store(url: str) -> list[str]:
 
 
 def _empty(storage: Storage) -> None:
-    """Remove all but the description and the lease of a store; first of all what says that anything was done."""
+    """Remove all but the description and the lease of a store, the records of finished tasks first."""
     for folder in ("packs", "commits"):
         storage.delete_folder(folder)
     storage.delete_folder("", keep=("zarr.json", layout.LOCK_KEY))

@@ -1,4 +1,4 @@
-"""What the parts of a store share: where it lies, what its points have in common, and its arrays once they are open."""
+"""Base class of the parts of a store: its location, its metadata and the arrays that are open."""
 
 from __future__ import annotations
 

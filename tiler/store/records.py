@@ -16,7 +16,7 @@ from tiler.store.part import StorePart
 from tiler.store.storage import Storage
 
 LONGEST_BYTES = 255
-"""Of a record that is kept: blosc shuffles no longer ones."""
+"""Longest record that is kept: blosc cannot shuffle longer items."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class RecordKeeper:
         self._count += len(records)
 
     def close(self) -> None:
-        """Say that they are there."""
+        """Write the metadata that make the records count."""
         a = self._array
         arrays.write_metadata(a.storage, a.path, (self._count, a.shape[1]), a.kind, a.attributes)
 

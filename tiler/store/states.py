@@ -1,4 +1,4 @@
-"""State of the run: JSON-able values by name, and what people drew, which each task reads once."""
+"""State of the run: JSON-able values by name; areas, corrections, breaklines and water are kept in memory once read."""
 
 from __future__ import annotations
 

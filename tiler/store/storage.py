@@ -35,7 +35,7 @@ zarr.config.set({"async.concurrency": 8, "threading.max_workers": 1})
 
 _REQUESTS_AT_ONCE = 64
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
-"""What file systems of memory sticks and some network shares say when a file is to get a second name."""
+"""Errors of file systems without hard links, as on memory sticks and some network shares."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ class Storage:
     def exists(self) -> bool:
         """Whether a local folder is there; always true elsewhere, where folders do not exist.
 
-        Zarr's local store makes its folder when it is first asked anything: a look must not.
+        Zarr's local store makes its folder at the first request, which a mere look must not do.
         """
         return self.root is None or self.root.is_dir()
 
@@ -223,7 +223,7 @@ def parse_json(data: bytes, where: str) -> Any:
 
 
 SEAL = "tiler_crc32"
-"""Attribute of zarr's metadata: checksum of all the rest of them, of which zarr has none."""
+"""Attribute of zarr's metadata with a checksum of all the rest of them; zarr itself has none."""
 
 
 def sealed(metadata: dict[str, Any]) -> dict[str, Any]:
@@ -234,7 +234,7 @@ def sealed(metadata: dict[str, Any]) -> dict[str, Any]:
 
 
 def seal_holds(metadata: dict[str, Any]) -> bool:
-    """Whether metadata are as `sealed` left them; what stores of older versions have, without a checksum, may be."""
+    """Whether metadata are as `sealed` left them; those without a checksum, of older versions, count as such."""
     return SEAL not in metadata["attributes"] or sealed(metadata) == metadata
 
 
@@ -263,7 +263,7 @@ def _file_bytes(path: str) -> bytes | None:
 
 
 def _write_file(path: str, data: bytes) -> None:
-    """A file that has its name only when it is whole; what is killed leaves scratch (`layout.is_scratch`)."""
+    """Write a file that has its name only when it is whole; a killed write leaves scratch (`layout.is_scratch`)."""
     partial = f"{path}.{uuid.uuid4().hex}.partial"
     os.makedirs(os.path.dirname(path), exist_ok=True)
     try:

@@ -1,4 +1,4 @@
-"""All checks of one DTM; what others have written is read by a child process."""
+"""All checks of one DTM; its files are read in a child process, which damaged ones may crash."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def measure(
     requirements: Sequence[Requirement] = (),
     figures: Path | None = None,
 ) -> dict[str, Any]:
-    """Check a DTM by whatever there is to measure by.
+    """Check a DTM by its checkpoints, its seams and overlapping strips, as far as they are given.
 
     Parameters
     ----------

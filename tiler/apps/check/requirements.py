@@ -1,4 +1,4 @@
-"""What a figure of the check must be: ``rmse=0.1``."""
+"""Limits that the figures of a check have to meet, such as ``rmse=0.1``."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def parse_requirements(texts: Iterable[str]) -> list[Requirement]:
 
 
 def judge(requirements: Sequence[Requirement], report: Report) -> list[dict[str, Any]]:
-    """Hold a report against requirements.
+    """Compare a report with requirements.
 
     Returns
     -------

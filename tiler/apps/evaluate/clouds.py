@@ -38,7 +38,7 @@ class Points(NamedTuple):
 
 
 class Findings:
-    """What is gathered of the paired points of two files.
+    """Counts of the paired points of two files.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ from tiler.core.classes import GROUND
 from tiler.errors import InputError
 
 IGNORED = (7, 9, 17, 18, 26, 64, 65, 66, 67)
-"""Reference classes that are neither: noise, water, bridges, the producers' virtual points and artefacts."""
+"""Reference classes that are neither ground nor object: noise, water, bridges, producers' virtual points, artefacts."""
 
 ERRORS = ("type_1", "type_2", "total", "kappa", "f1")
 

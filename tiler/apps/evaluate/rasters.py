@@ -1,4 +1,4 @@
-"""Opens rasters of other people; whatever is wrong with one is an error of one line that names it."""
+"""Opens rasters that tiler may not have written; whatever is wrong with one is an error of one line that names it."""
 
 from __future__ import annotations
 
