@@ -21,6 +21,10 @@ MODE_SIGMAS = 4.0
 """Height of the window that is moved up from a cell's lowest point, in standard deviations of the noise."""
 STEEPEST = 2.0
 """Slopes between neighbouring cells up to which they are taken off before heights are compared."""
+STEEPEST_AT_GAPS = 0.7
+"""The same where one neighbour has no height, as at the edge of a wood: that of the other side may be a wall's."""
+UNKNOWN = 2**40
+"""No rise is so high."""
 MODE_SHARE, MODE_POINTS = 0.1, 2
 """The lowest window with this share of the cell's points, and this many, is its surface: single blunders are fewer."""
 FEW = 128
@@ -103,20 +107,41 @@ class _ByCell(NamedTuple):
 
 
 @kernel
+def _rise(level: Int64, counts: Int64, k: int, step: int, cell_counts: float) -> int:
+    """Rise over two cells along an axis, from the one neighbour where the other has no height; `UNKNOWN` if steep."""
+    before, after = counts[k - step] > 0, counts[k + step] > 0
+    if before and after:
+        rise, steepest = level[k + step] - level[k - step], STEEPEST
+    elif after:
+        rise, steepest = 2 * (level[k + step] - level[k]), STEEPEST_AT_GAPS
+    elif before:
+        rise, steepest = 2 * (level[k] - level[k - step]), STEEPEST_AT_GAPS
+    else:
+        return UNKNOWN
+    return rise if abs(rise) <= round(2 * steepest * cell_counts) else UNKNOWN
+
+
+@kernel
 def _tilted_heights(
-    points: _ByCell, centre_x: Int64, centre_y: Int64, width: int, steepest: int, level: Int64, counts: Int64
+    points: _ByCell,
+    centre_x: Int64,
+    centre_y: Int64,
+    width: int,
+    cell_counts: float,
+    level: Int64,
+    counts: Int64,
 ) -> Int64:
     """Heights of cells whose neighbours tell a slope, with that slope taken off, if more points agree on them then."""
     x, y, z, starts, order = points
     heights, columns = level.copy(), centre_x.size
     buffer, room = np.empty(np.diff(starts).max(), np.int32), np.empty(FEW, np.int32)
     for k in range(columns + 1, starts.size - 1 - columns - 1):
-        west, east, south, north = counts[k - 1], counts[k + 1], counts[k - columns], counts[k + columns]
         begin, n = starts[k], starts[k + 1] - starts[k]
-        if counts[k] == 0 or counts[k] == n or west == 0 or east == 0 or south == 0 or north == 0:
+        if counts[k] == 0 or counts[k] == n:
             continue
-        eastward, northward = level[k + 1] - level[k - 1], level[k + columns] - level[k - columns]
-        if abs(eastward) > steepest or abs(northward) > steepest:
+        eastward = _rise(level, counts, k, 1, cell_counts)
+        northward = _rise(level, counts, k, columns, cell_counts)
+        if eastward == UNKNOWN or northward == UNKNOWN:
             continue
         cx, cy = centre_x[k % columns], centre_y[k // columns]
         span_x = float(centre_x[k % columns + 1] - centre_x[k % columns - 1])
@@ -173,9 +198,8 @@ def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float, cell_
     centre_y = np.array(
         [(cells.south(row0 + i) + cells.south(row0 + i + 1)) // 2 for i in range(rows)], np.int64
     )
-    steepest = round(2 * STEEPEST * scale.counts_z(cell_m))
     points = _ByCell(x, y, z, starts, order)
-    heights = _tilted_heights(points, centre_x, centre_y, window, steepest, level, counts)
+    heights = _tilted_heights(points, centre_x, centre_y, window, scale.counts_z(cell_m), level, counts)
     found = np.flatnonzero(counts)
     cx, cy = centre_x[found % columns], centre_y[found // columns]
     own = (cx >= bounds.west) & (cx < bounds.east) & (cy >= bounds.south) & (cy < bounds.north)

@@ -10,7 +10,8 @@
 3. `ROUNDS` times, the mean residual of the cells that lie about the surface is added, at two scales; in the last of
    them what rises beside objects counts less. Noise is the root mean square of the residuals below the surface: what
    lies above may be plants.
-4. Ground grows to the edges of terraces and banks (`ptd.matched.growth`).
+4. Ground grows to the edges of terraces and banks (`ptd.matched.growth`), and the mean residual is added at a still
+   smaller scale: the surface comes nearer to each cell's own height.
 
 Gaussian sums over cells are cut off at a fixed radius, so nothing beyond `reach_cells` has a part in the surface.
 """
@@ -65,6 +66,10 @@ FEW = 0.05
 PLAIN_ROUNDS, BESIDE = 3, 0.2
 """After so many rounds, cells above the surface that touch one too high to be ground weigh no more than this: they are
 the rounded edges of cars, walls and plants. Not before, as until then the surface still climbs onto banks."""
+FINE_ROUNDS, FINE_M, FINE_CELLS, FINE_BESIDE = 2, 1.0, 1.0, 0.1
+"""Then so often the mean residual is added over this standard deviation (cells at least): a cell's own height, the
+median of many points, is better known than a wide mean is right where the ground bends, at the foot of a bank. What
+rises beside objects weighs still less, as fewer cells are averaged."""
 EDGE_ROUNDS = 2
 """Times that the mean residual is added, at the smaller scale, where ground grew to an edge."""
 ABOVE_M, ABOVE_SIGMAS, BELOW_M, BELOW_SIGMAS = 0.1, 2.5, 0.3, 3.0
@@ -107,6 +112,11 @@ def _scales(cell_m: float) -> list[float]:
     return [max(m / cell_m, least) for m, least in zip(SCALES_M, SCALES_CELLS, strict=True)]
 
 
+def _fine_scale(cell_m: float) -> float:
+    """That of the last rounds."""
+    return max(FINE_M / cell_m, FINE_CELLS)
+
+
 def reach_cells(cell_m: float) -> int:
     """Cells beyond which nothing has a part in the surface."""
     hulls = [replace(h, cell_m=cell_m) for h in (STIFF, PLIABLE, *RIDGES)]
@@ -117,7 +127,9 @@ def reach_cells(cell_m: float) -> int:
     about = max(slope, gaussian_radius(NOISE_M / cell_m)) + contrast
     rounds = ROUNDS * sum(gaussian_radius(cells) for cells in _scales(cell_m)) + ROUNDS - PLAIN_ROUNDS
     edges = growth.reach_cells(cell_m) + (1 + EDGE_ROUNDS) * gaussian_radius(_scales(cell_m)[-1])
-    return hulls[0].cut_cells + bent + 2 * about + rounds + edges + gaussian_radius(max(EXTENDED_M) / cell_m)
+    fine = FINE_ROUNDS * (gaussian_radius(_fine_scale(cell_m)) + 1)
+    extended = gaussian_radius(max(EXTENDED_M) / cell_m)
+    return hulls[0].cut_cells + bent + 2 * about + rounds + edges + fine + extended
 
 
 def ground_surface(
@@ -256,16 +268,28 @@ def _refined(
     """The surface amid the cells that lie about it, their noise, and how much narrower the band is in plants."""
     _, _, above, below = _about(cells, terrain, surface, sigma_m)
     for k in range(ROUNDS):
-        residual = cells.height - surface
-        weight = np.where(cells.there & (residual < above) & (residual > -below), 1.0, 0.0)
-        if k >= PLAIN_ROUNDS:
-            objects = scipy.ndimage.maximum_filter(cells.there & (residual >= above), 3, mode="constant")
-            weight[objects & (residual > 0.0)] *= BESIDE
+        weight = _weights(cells, surface, above, below, 1.0 if k < PLAIN_ROUNDS else BESIDE)
         for std in _scales(cells.cell_m):
             mean = smoothed(weight * (cells.height - surface), std) / (smoothed(weight, std) + FEW)
             surface = surface + np.where(cells.there, mean, 0.0)
     sigma, narrowing, above, below = _about(cells, terrain, surface, sigma_m)
-    return _to_edges(cells, terrain, surface, sigma, narrowing, above, below), sigma, narrowing
+    surface = _to_edges(cells, terrain, surface, sigma, narrowing, above, below)
+    std = _fine_scale(cells.cell_m)
+    for _ in range(FINE_ROUNDS):
+        weight = _weights(cells, surface, above, below, FINE_BESIDE)
+        mean = smoothed(weight * (cells.height - surface), std) / (smoothed(weight, std) + FEW)
+        surface = surface + np.where(cells.there, mean, 0.0)
+    return surface, sigma, narrowing
+
+
+def _weights(cells: CellsLeft, surface: Float64, above: Float64, below: Float64, beside: float) -> Float64:
+    """1 for cells about the surface, less for those above it that touch one too high to be ground, 0 for all others."""
+    residual = cells.height - surface
+    weight = np.where(cells.there & (residual < above) & (residual > -below), 1.0, 0.0)
+    if beside < 1.0:
+        objects = scipy.ndimage.maximum_filter(cells.there & (residual >= above), 3, mode="constant")
+        weight[objects & (residual > 0.0)] *= beside
+    return weight
 
 
 def _to_edges(

@@ -134,6 +134,20 @@ def test_ground_is_followed_up_to_what_was_taken_out() -> None:
     assert abs(error).max() < 0.25
 
 
+def test_the_bends_of_a_bank_are_smoothed_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    row, column, rng = places(64)
+    bank = 0.5 * np.clip(column - 30.0, 0.0, 6.0)
+    z = bank + 0.03 * rng.standard_normal(row.shape)
+
+    def off() -> float:
+        error = (of(z, sigma_m=0.03).height - bank)[12:-12]
+        return float(error[:, 30].mean() - error[:, 36].mean())  # above its foot, below its top
+
+    fine = off()
+    monkeypatch.setattr(surface, "FINE_ROUNDS", 0)
+    assert 0.0 < fine < 0.85 * off()
+
+
 def test_it_goes_on_beyond_its_cells_and_ends() -> None:
     z = np.full((96, 96), np.nan)
     z[32:64, 32:64] = 4.0

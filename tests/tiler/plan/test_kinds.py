@@ -25,19 +25,19 @@ def test_passes_of_another_kind_are_not_reckoned_with(make_cloud: MakeCloud) -> 
         for kind in (None, "als", "dim")
     )
     assert (laser.kind, laser.halo_m) == ("lidar", 229.0)
-    assert (matched.kind, matched.halo_m) == ("dim", 438.0)
-    assert (unknown.kind, unknown.halo_m) == (None, 438.0)
+    assert (matched.kind, matched.halo_m) == ("dim", 450.0)
+    assert (unknown.kind, unknown.halo_m) == (None, 450.0)
     assert unknown.margin == matched.margin > laser.margin
     assert [step.name for step in matched.steps] == ["survey", "cells", "objects", "inner-objects", "surface"]
     assert set(laser.steps) & set(matched.steps) == {laser.passes[0]}
-    assert plan_json(unknown)["halo_by_kind_m"] == {"lidar": 229.0, "dim": 438.0}
+    assert plan_json(unknown)["halo_by_kind_m"] == {"lidar": 229.0, "dim": 450.0}
     assert plan_json(laser)["halo_by_kind_m"] == {}
 
     words = {kind: "\n".join(plan_lines(plan)) for kind, plan in ((None, unknown), ("als", laser))}
-    assert "229 m of halo, overlap work 3.59 for a laser scan, or 438 m of halo" in words[None]
+    assert "229 m of halo, overlap work 3.59 for a laser scan, or 450 m of halo" in words[None]
     assert "not all of which apply" in words[None]
     assert "(229 m are enough with --kind als)" in words[None]
-    assert "438 m" not in words["als"]
+    assert "450 m" not in words["als"]
     assert "not all of which apply" not in words["als"]
 
     known = replace(unknown, statistics={"survey": {"survey": {"kind": "lidar"}}})
