@@ -179,7 +179,11 @@ class RunConfig:
         "4 GiB at most",
         kind="bytes",
     )
-    workers: int | None = whole(None, "worker processes, one thread each; default: cores")
+    workers: int | None = whole(
+        None,
+        "worker processes, one thread each; default: the cores that tiler may use, fewer if memory is below 512 MiB "
+        "for each",
+    )
     in_process: bool = flag(
         False, "work in the command's own process, for debugging: whatever crashes it ends the run"
     )

@@ -134,7 +134,12 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     patches = [patch for s in filled for patch in s.patches]
     density = sizes.density_of(points, covered, patches, metres, notes)
     density_map = DensityMap(patches, metres)
-    workers = config.workers or machine.cores()
+    workers = config.workers or machine.default_workers()
+    if config.workers is None and workers < machine.cores():
+        mib = machine.memory_bytes() >> 20
+        notes.append(
+            f"decided: {workers} workers for {machine.cores()} cores, as memory is {mib:,} MiB (--workers)"
+        )
     memory = config.memory or machine.fair_share(workers)
     bucket = sizes.bucket_m(density, density_map, memory)
     if found.area is not None and any(is_url(s.path) and s.octree is not None for s in filled):
@@ -248,6 +253,6 @@ def _inspect_all(
 def _readers(paths: Sequence[Path], config: RunConfig) -> int:
     """How many processes look into the inputs: one more pays for its start where there are some files for it."""
     far = sum(is_url(path) for path in paths)
-    workers = config.workers or machine.cores()
+    workers = config.workers or machine.default_workers()
     near = min(workers, math.ceil((len(paths) - far) / FILES_OF_A_READER))
     return max(near, min(FAR_READERS, math.ceil(far / FILES_OF_A_READER)), 1)

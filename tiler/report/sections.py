@@ -160,7 +160,7 @@ def settled(run: Run) -> list[Settled]:
         "resolution": (f"{plan['resolution_m']:g} m", "1 m, or the points' spacing if wider"),
         "tile_size": (f"{plan['tile_m']:g} m", "what fits into a worker's memory"),
         "halo": (f"{_halo_m(run):g} m", "the method's own reach"),
-        "workers": (str(plan["workers"]), "the cores of the machine"),
+        "workers": (str(plan["workers"]), "the cores that tiler may use"),
         "memory": (size_text(memory), "a fair share of the machine, 4 GiB at most"),
         "units": (units, declared),
         "crs": (_crs_name(plan["crs"]), declared),
