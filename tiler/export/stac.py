@@ -7,8 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime, timedelta
 from typing import Any
 
+import numpy as np
+import shapely
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
+from shapely.geometry import polygon
 
 from tiler.core.crs import split
 from tiler.io.las.columns import RGB_FORMATS, is_legacy
@@ -48,18 +51,40 @@ class Globe:
             return
 
     def bbox(self, box: Box) -> list[float] | None:
-        """West, south, east, north in degrees."""
+        """West, south, east, north in degrees; across the antimeridian west is larger than east."""
         if self._transformer is None:
             return None
         found = self._transformer.transform_bounds(*box, densify_pts=_FEWEST_STEPS)
         return [round(v, _DIGITS) for v in found] if all(map(math.isfinite, found)) else None
 
     def polygon(self, box: Box) -> dict[str, Any] | None:
-        """The box as GeoJSON in degrees."""
-        if self._transformer is None or self.bbox(box) is None:
+        """The box as GeoJSON in degrees; in two parts where it crosses the antimeridian (RFC 7946, 3.1.9)."""
+        if self._transformer is None or (bbox := self.bbox(box)) is None:
             return None
         places = self._transformer.itransform(corners(box))
-        return {"type": "Polygon", "coordinates": [[[round(v, _DIGITS) for v in place] for place in places]]}
+        if bbox[0] <= bbox[2]:
+            return {"type": "Polygon", "coordinates": [_ring(places)]}
+        whole = shapely.Polygon([(x % 360, y) for x, y in places])
+        parts = [(shapely.clip_by_rect(whole, west, -90, west + 180, 90), -2 * west) for west in (0, 180)]
+        rings = [shapely.get_coordinates(polygon.orient(part)) + (shift, 0) for part, shift in parts]
+        return {"type": "MultiPolygon", "coordinates": [[_ring(ring.tolist())] for ring in rings]}
+
+
+def _ring(places: Iterable[Iterable[float]]) -> list[list[float]]:
+    return [[round(v, _DIGITS) for v in place] for place in places]
+
+
+def hull_of(boxes: Iterable[Sequence[float]]) -> list[float]:
+    """The narrowest bbox that holds some; one across the antimeridian has a larger west than east."""
+    west, south, east, north = np.array(list(boxes)).T
+    east = np.where(east < west, east + 360, east)
+    hulls = []
+    for turn in (0, 360):  # degrees from 0 on to the west as well, or all of them to the east
+        turned = np.where(west < 0, turn, 0)
+        hulls.append([float((west + turned).min()), float((east + turned).max())])
+    narrowest = min(hulls, key=lambda ends: round(ends[1] - ends[0], _DIGITS))
+    low, high = (round(x - 360, _DIGITS) if x > 180 else x for x in narrowest)
+    return [low, float(south.min()), high, float(north.max())]
 
 
 def corners(box: Box) -> list[list[float]]:

@@ -196,8 +196,6 @@ class _Catalogue:
     def _collection(self, items: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """The collection of the sheets."""
         boxes = [item["bbox"] for item in items.values() if "bbox" in item] or [(-180, -90, 180, 90)]
-        west, south, east, north = zip(*boxes, strict=True)
-        hull = [min(west), min(south), max(east), max(north)]
         when = self._dates()
         interval = [when.get(f"{end}_datetime") or when["datetime"] for end in ("start", "end")]
         mosaics = {
@@ -208,7 +206,7 @@ class _Catalogue:
         return {
             "type": "Collection", "stac_version": "1.1.0", "stac_extensions": [], "id": self._id,
             "title": "Terrain in sheets", "description": self._description, "license": "other",
-            "extent": {"spatial": {"bbox": [hull]}, "temporal": {"interval": [interval]}},
+            "extent": {"spatial": {"bbox": [stac.hull_of(boxes)]}, "temporal": {"interval": [interval]}},
             "links": [
                 {"rel": "root", "href": f"./{STAC}", "type": _JSON},
                 *({"rel": "item", "href": f"./{quote(os.fsencode(path))}", "type": _GEOJSON} for path in items),
