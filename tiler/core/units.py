@@ -26,7 +26,7 @@ _AREAS = {
     "": METRE, "m2": METRE, "ha": Fraction(10_000), "km2": Fraction(10**6), "ft2": FOOT**2, "acre": 43560 * FOOT**2,
     "acres": 43560 * FOOT**2,
 }  # fmt: skip
-_LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+(?:/[0-9]+)?)\s*([a-zA-Z_-]*)\s*$")
+_LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+(?:/0*[1-9][0-9]*)?)\s*([a-zA-Z_-]*)\s*$")
 
 
 def unit_named(name: str) -> Fraction:
