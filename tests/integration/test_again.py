@@ -210,6 +210,16 @@ def test_a_terrain_without_a_height_is_warned_of(demo: DemoScene, tmp_path: Path
     assert told[-1] in result.summary["notes"]
 
 
+def test_a_cloud_of_nothing_but_noise_says_why_there_is_no_terrain(demo: DemoScene, tmp_path: Path) -> None:
+    cloud = laspy.read(demo.truth_paths[0])
+    cloud.points = cloud.points[:500]
+    cloud.classification = np.full(500, 7, dtype=np.uint8)
+    cloud.write(tmp_path / "noise.las")
+    notes = do([tmp_path / "noise.las"], tmp_path / "out").summary["notes"]
+    assert any("none of the 500 points takes part in the filter" in text for text in notes)
+    assert any(text.endswith("--keep-classes none filters the classes too") for text in notes)
+
+
 def assert_classes_of_the_input(out: Path, demo: DemoScene, cells: list[list[int]]) -> None:
     """The points of these buckets have the class of their source in the classified files."""
     store = the_store(out)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -183,9 +183,9 @@ def spread(places: Sequence[tuple[float, float]], number: int, side: float, hull
 
 def _cut(
     guard: Guard, sources: Sequence[SourceInfo], windows: Sequence[Box], scratch: Path, salvage: bool
-) -> list[list[str]]:
-    """Files that hold the points of each window."""
-    files: list[list[str]] = [[] for _ in windows]
+) -> list[dict[str, str]]:
+    """Files that hold the points of each window, each with the cloud that it was cut from."""
+    files: list[dict[str, str]] = [{} for _ in windows]
     for number, source in enumerate(sources):
         assert source.bounds is not None  # the caller's choice
         x0, y0, _, x1, y1, _ = source.bounds
@@ -196,7 +196,7 @@ def _cut(
         wanted = [windows[i] for i in mine]
         counts = read_guarded(guard, cut_windows, source.path, wanted, targets, salvage, source.octree)
         for i, path, count in zip(mine, targets, counts, strict=True):
-            files[i] += [path] if count else []
+            files[i] |= {path: str(source.path)} if count else {}
     if not any(files):
         raise InputError("no window holds a point; name other --windows or a larger --size")
     return files
@@ -223,11 +223,21 @@ def _settings(plan: Plan) -> RunConfig:
 
 
 def _window(
-    bounds: Box, paths: Sequence[str], config: RunConfig, listener: Listener
+    bounds: Box, paths: Mapping[str, str], config: RunConfig, listener: Listener
 ) -> tuple[tuple[Shade, Shade], Window]:
     """Surface and terrain of a window, shaded, and what was found in it."""
-    out = Path(paths[0]).with_suffix("")
-    summary = run(paths, out, config, listener, until="grid").summary
+    out = Path(next(iter(paths))).with_suffix("")
+
+    def tell(kind: str, facts: dict[str, Any]) -> None:
+        """Name the cloud, not the file that was cut from it."""
+        if kind == "warning":
+            text = facts["text"]
+            for path, cloud in paths.items():
+                text = text.replace(path, f"window at x {bounds[0]:.0f}, y {bounds[1]:.0f} of {cloud}")
+            facts = {**facts, "text": text}
+        listener(kind, facts)
+
+    summary = run(list(paths), out, config, tell, until="grid").summary
     store = open_store(str(out / STORE))
     ground = summary["filter"]["ground"] if "filter" in summary else summary["counts"]["participating"]
     failed = summary["failed_tasks"]

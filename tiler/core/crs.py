@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from pyproj import CRS
+import math
+
+from pyproj import CRS, Proj
+from pyproj.exceptions import ProjError
 
 
 def split(crs: CRS) -> tuple[CRS | None, CRS | None]:
@@ -47,3 +50,20 @@ def crs_name(wkt: str | None) -> str:
     crs = CRS.from_user_input(wkt)
     code = crs.to_authority(min_confidence=100)
     return f"{crs.name} ({':'.join(code)})" if code else crs.name
+
+
+def length_scale(wkt: str, x: float, y: float) -> float | None:
+    """Length in the plane of the CRS over length on the ground at a place: 1.5 in Web Mercator at 48 degrees.
+
+    Of the directions the one that differs most from 1; None where PROJ cannot tell.
+    """
+    horizontal = split(CRS.from_wkt(wkt))[0]
+    if horizontal is None or not horizontal.is_projected:
+        return None
+    projection = Proj(horizontal)
+    try:
+        found = projection.get_factors(*projection(x, y, inverse=True, errcheck=True), errcheck=True)
+    except ProjError:
+        return None
+    scales = [s for s in (found.tissot_semimajor, found.tissot_semiminor) if math.isfinite(s) and s > 0]
+    return max(scales, key=lambda scale: abs(math.log(scale)), default=None)

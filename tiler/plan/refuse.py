@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tiler.config import RunConfig
+from tiler.core.crs import crs_name, length_scale
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import beginning
@@ -53,6 +54,10 @@ NAMED = 5
 MUCH_OVERLAP = 3.0
 """Padded area over core area, mean of the passes, from which on it is told of."""
 
+STRETCHED = 1.05
+"""Length in the plane over length on the ground, or the inverse, from which on a CRS is warned of: those made
+for surveys stay within 1.03."""
+
 
 def warnings_of(plan: Plan) -> list[str]:
     """What is probably wrong, or costs more than it need."""
@@ -71,6 +76,7 @@ def warnings_of(plan: Plan) -> list[str]:
             found.append(
                 f"{path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
             )
+    found += _stretched(plan)
     # What is not known to be a matched cloud is not warned of as one.
     steps, tile = steps_of(plan.passes, plan.kind or "lidar"), float(plan.tile)
     halos = [step.halo_m for step in steps if not plan.joins(step)]
@@ -83,6 +89,21 @@ def warnings_of(plan: Plan) -> list[str]:
             f"the work; use --tile-size {math.ceil(WIDE_TILE * max(halos))} or more --memory"
         )
     return found
+
+
+def _stretched(plan: Plan) -> list[str]:
+    """Tells of a CRS whose metres are none on the ground, as those of Web Mercator."""
+    wkt, extent = plan.meta.frame.crs_wkt, plan.extent
+    if wkt is None:
+        return []
+    x, y = (extent.x0 + extent.x1) / 2 / COUNTS_PER_UNIT, (extent.y0 + extent.y1) / 2 / COUNTS_PER_UNIT
+    scale = length_scale(wkt, x, y)
+    if scale is None or 1 / STRETCHED < scale < STRETCHED:
+        return []
+    return [
+        f"the CRS {crs_name(wkt)} makes lengths {scale:.2f} times those on the ground here (x {x:,.0f}, y {y:,.0f}), "
+        "and the filter takes them as they are; reproject the clouds to a CRS for surveys, such as UTM"
+    ]
 
 
 def read_besides(config: RunConfig) -> list[str]:

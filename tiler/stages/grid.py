@@ -221,15 +221,22 @@ def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mappin
         "thinned": any(task.arguments.thin for task in tasks),
     }
     if records and job.facts["dtm"]["filled"] == 0:
-        config = job.plan.config
-        what = (
-            f"points of class {', '.join(map(str, config.ground_classes))}"
-            if config.method == KEEP
-            else "ground points"
-        )
-        text = (
-            f"the terrain model has no height at all: no three {what} lie within --max-edge "
-            f"{float(config.max_edge):g} m of one another"
-        )
+        text = f"the terrain model has no height at all: {_why_empty(job)}"
         job.record.notes.append(text)
         job.listener("warning", {"text": text})
+
+
+def _why_empty(job: Job) -> str:
+    """Why no pixel has a height, and what to do."""
+    config, stored = job.plan.config, job.facts["counts"]["stored"]
+    if config.method != KEEP and job.facts["counts"]["kept_out"] == stored:
+        return (
+            f"none of the {stored:,} points takes part in the filter: all are withheld, skipped, or of a class that is "
+            "kept (`tiler info` shows the classes); --keep-classes none filters the classes too"
+        )
+    what = (
+        f"points of class {', '.join(map(str, config.ground_classes))}"
+        if config.method == KEEP
+        else "ground points"
+    )
+    return f"no three {what} lie within --max-edge {float(config.max_edge):g} m of one another"

@@ -130,3 +130,20 @@ def test_windows_hold_what_lies_in_them(hills: Path, tmp_path: Path) -> None:
         x0, y0, x1, y1 = window.bounds
         inside = (cloud.x >= x0) & (cloud.x < x1) & (cloud.y >= y0) & (cloud.y < y1)
         assert window.points == np.count_nonzero(inside)
+
+
+def test_a_warning_of_a_window_names_the_cloud(hills: Path, tmp_path: Path) -> None:
+    cloud = laspy.read(hills)
+    cloud.z = np.where(np.arange(len(cloud.z)) % 1000, cloud.z, 500.0)
+    cloud.write(tmp_path / "towers.las")
+    told: list[str] = []
+
+    def listener(kind: str, facts: dict[str, Any]) -> None:
+        if kind == "warning":
+            told.append(facts["text"])
+
+    make_preview(
+        [str(tmp_path / "towers.las")], tmp_path / "p.png", RunConfig(), listener, number=1, side_m=60.0
+    )
+    assert any(text.startswith("window at x ") and "towers.las: rises" in text for text in told)
+    assert not any(".tiler-preview-" in text for text in told)

@@ -106,3 +106,11 @@ def test_small_tiles_are_told_of_where_there_are_several(
     assert [f"do {times} times the work; use --tile-size 483 or more --memory" in text for text in found] == (
         [True] if times else []
     )
+
+
+@pytest.mark.parametrize(("crs", "told"), [("EPSG:3857", 1), ("EPSG:25832", 0)])
+def test_a_crs_that_stretches_lengths_is_told_of(crs: str, told: int, make_cloud: MakeCloud) -> None:
+    plan = make_plan([str(make_cloud(crs=crs))], RunConfig.from_mapping({"in_process": True}))
+    found = [text for text in plan.warnings if "times those on the ground" in text]
+    assert len(found) == told
+    assert all("makes lengths 1.38 times" in text and "UTM" in text for text in found)
