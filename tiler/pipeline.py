@@ -21,7 +21,7 @@ from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_second
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
 from tiler.runs.job import Job, Ownership, RunResult
-from tiler.schedule import kept_forking, limits_memory, prepare_children
+from tiler.schedule import WORKING, import_dask, kept_forking, limits_memory, prepare_children
 from tiler.stages.corrections import correct
 from tiler.stages.export import export
 from tiler.stages.filter import filter_points
@@ -82,15 +82,15 @@ def run(
         raise ConfigError("-o: has no name; name a folder for the results")
     out = folder_here(products)
     started = time.monotonic()
-    if not config.in_process:
-        prepare_children(
-            "tiler.ingest.sources", "tiler.pipeline", "scipy.ndimage", "tiler.runs.worker:prepare"
-        )
+    url = config.store or joined(products, STORE)
+    if not (config.in_process or is_url(url) or store_exists(url)):  # there is something to do
+        prepare_children(*WORKING)
+        import_dask()  # while the headers are read
     plan = make_plan(inputs, config, products, known)
     _make_folder(out)
     if not is_url(products):
         products = str(out.resolve())  # workers have folders of their own
-    url = config.store or joined(products, STORE)
+        url = config.store or joined(products, STORE)
     with _held(out, products, url) as leases, _copied(out, products):
         plan, store = _frozen(plan, url)
         job = Job(plan, out, products, store, discreet(listener), Ownership(leases))

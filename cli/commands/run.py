@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import click
@@ -18,9 +19,6 @@ or URLs of them (s3://...). OUT gets dtm.tif and what else --products names, cla
 events.jsonl and the tile store. A job that was interrupted goes on where it was with the same command; a finished
 one does nothing again. Lengths are metres unless written with a unit (3ft, 50cm).
 """
-
-WORKING = (*READING, "tiler.pipeline", "scipy.ndimage", "tiler.runs.worker:prepare")
-"""What a worker needs: imported before the first is wanted, so that it starts in hundredths of a second."""
 
 STAGES = {
     "ingest": """First stage: read the clouds into the tile store.
@@ -49,13 +47,18 @@ options of the other stages: together they are `tiler run`.
 def job_command(name: str, help: str, until: str) -> click.Command:
     """A command that runs the job of INPUT... and OUT to the end of a stage."""
 
-    @click.command(name, cls=TilerCommand, progress=True, resumes=True, reads=WORKING, help=help)
+    @click.command(name, cls=TilerCommand, progress=True, resumes=True, reads=READING, help=help)
     @inputs_argument
     @out_option
     @config_options()
     @json_option
     def command(inputs: tuple[str, ...], out: str, as_json: bool, **settings: Any) -> int:
         config = read_config(settings)
+        from tiler.io.result_folder import STORE
+        from tiler.schedule import WORKING, prepare_children
+
+        if not (config.in_process or os.path.exists(config.store or os.path.join(out, STORE))):
+            prepare_children(*WORKING)  # while this process imports the same
         from tiler.pipeline import run
 
         session = current_session()

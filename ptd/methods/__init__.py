@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+from collections import UserDict
+from collections.abc import MutableMapping
+from importlib import import_module
 from typing import Any
 
-from ptd.methods import classic, rarefy
-from ptd.methods.auto import method as auto
-from ptd.methods.chen2023 import method as chen2023
-from ptd.methods.dong2017 import method as dong2017
-from ptd.methods.dong2018 import method as dong2018
-from ptd.methods.ridge2016 import method as ridge2016
 from ptd.params import parse
 from ptd.passes import Method
 
-METHODS: dict[str, Method] = {
-    m.name: m
-    for m in (
-        auto.METHOD,
-        classic.METHOD,
-        chen2023.METHOD,
-        dong2017.METHOD,
-        dong2018.METHOD,
-        rarefy.METHOD,
-        ridge2016.METHOD,
-    )
-}
+
+class _Methods(UserDict[str, Any]):
+    """Methods by name; one whose module is named is imported when it is asked for, as a run uses one of them."""
+
+    def __getitem__(self, name: str) -> Any:
+        found = self.data[name]
+        if isinstance(found, str):
+            found = self.data[name] = import_module(found).METHOD
+        return found
+
+
+METHODS: MutableMapping[str, Method] = _Methods(
+    auto="ptd.methods.auto.method",
+    classic="ptd.methods.classic",
+    chen2023="ptd.methods.chen2023.method",
+    dong2017="ptd.methods.dong2017.method",
+    dong2018="ptd.methods.dong2018.method",
+    rarefy="ptd.methods.rarefy",
+    ridge2016="ptd.methods.ridge2016.method",
+)
 
 
 def make_params(name: str, texts: dict[str, str] | None = None) -> Any:

@@ -12,6 +12,9 @@ from rasterio.io import MemoryFile
 from tiler.export.geotiff import any_place, raster_errors
 from tiler.io.partial_files import appearing
 
+DEFLATE_LEVEL = 4
+"""Of PNGs: a third of the time of 6, the usual, for pictures that are a few percent larger."""
+
 
 def png_bytes(rgba: npt.NDArray[np.uint8]) -> bytes:
     """A picture, uint8 of shape (height, width, 4): red, green, blue, opacity, as the bytes of a PNG."""
@@ -34,6 +37,7 @@ def palette_png_bytes(values: npt.NDArray[np.uint8], colours: Mapping[int, tuple
 def _encoded(bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int, int]] | None) -> bytes:
     count, height, width = bands.shape
     profile = {"driver": "PNG", "height": height, "width": width, "count": count, "dtype": "uint8"}
+    profile["ZLEVEL"] = DEFLATE_LEVEL
     with any_place(), MemoryFile() as memory:
         with memory.open(**profile) as picture:
             picture.write(bands)

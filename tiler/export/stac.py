@@ -28,6 +28,13 @@ _TIMED, _INFRARED = (1, 3, 4, 5), (8, 10)
 _FEWEST_STEPS = 8
 
 
+def horizontal_code(wkt: str | None) -> str | None:
+    """The code of the horizontal part of a CRS, ``EPSG:25832``; None where it has none. Takes a tenth of a second."""
+    horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
+    authority = None if horizontal is None else horizontal.to_authority()
+    return None if authority is None else ":".join(authority)
+
+
 class Globe:
     """Brings boxes of a CRS into longitude and latitude.
 
@@ -39,12 +46,9 @@ class Globe:
 
     def __init__(self, wkt: str | None) -> None:
         self._transformer: Transformer | None = None
-        self.code: str | None = None
         horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
         if horizontal is None:
             return
-        authority = horizontal.to_authority()
-        self.code = None if authority is None else ":".join(authority)
         try:
             self._transformer = Transformer.from_crs(horizontal, _WGS84, always_xy=True)
         except ProjError:  # of a local CRS

@@ -32,10 +32,10 @@ from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
 from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
 from tiler.plan.tiles_of_points import near_nodes, refuse_far, with_crs_of_tiles
 from tiler.report import earlier_statistics
-from tiler.schedule import Guards
+from tiler.schedule import FORKS, Guards
 from tiler.store import StoreMeta
 
-FILES_OF_A_READER = 16
+FILES_OF_A_READER = 2 if FORKS else 16
 """Inputs for which one more process is started: it takes as long to start as to look into so many."""
 FAR_READERS = 8
 """Processes that look into objects at URLs: they wait for answers most of the time, whatever the number of cores."""

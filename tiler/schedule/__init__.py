@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from tiler.schedule.fork_server import kept_forking, prepare_children
+from contextlib import suppress
+from importlib import import_module
+from threading import Thread
+
+from tiler.schedule.fork_server import FORKS, WORKING, kept_forking, prepare_children
 from tiler.schedule.guard import Died, Guard, limits_memory
 from tiler.schedule.isolated_reading import half_of_memory, read_apart, seconds_for
 from tiler.schedule.parallel_calls import Guards
@@ -23,8 +27,10 @@ from tiler.schedule.task import (
 )
 
 __all__ = [
+    "FORKS",
     "NOT_IN_DIGEST",
     "TRIES",
+    "WORKING",
     "Died",
     "Executor",
     "Guard",
@@ -40,6 +46,7 @@ __all__ = [
     "Work",
     "digest_of",
     "half_of_memory",
+    "import_dask",
     "kept_forking",
     "limits_memory",
     "make_executor",
@@ -47,6 +54,16 @@ __all__ = [
     "read_apart",
     "seconds_for",
 ]
+
+
+def import_dask() -> None:
+    """Import what `make_executor` needs for workers, in a thread: while something else is waited for."""
+
+    def work() -> None:
+        with suppress(ImportError):  # `make_executor` meets it again
+            import_module("tiler.schedule.workers")
+
+    Thread(target=work, name="import dask").start()
 
 
 def make_executor(

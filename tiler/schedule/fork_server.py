@@ -25,9 +25,19 @@ from typing import IO, Any
 from tiler.import_path import trusted_path
 
 FORKS = sys.platform == "linux" and hasattr(os, "fork") and hasattr(socket, "send_fds")
+"""Whether children are forks of one process here, which start in milliseconds."""
 
 SERVES = "fork"
 """What tells `tiler.schedule.guarded` to be the server."""
+
+WORKING = (
+    "tiler.ingest.sources",
+    "tiler.pipeline",
+    "ptd.methods.auto.method",
+    "scipy.ndimage",
+    "tiler.runs.worker:prepare",
+)
+"""For `prepare_children`: what workers of a run need, by name, as it is of layers above."""
 
 _SET_BY_LIBRARIES = "_CURL_CA_BUNDLE"
 """End of the names of variables that rasterio and pyproj set for themselves when they are imported."""

@@ -86,7 +86,12 @@ def planned(gridding: Gridding) -> dict[str, str]:
 
 
 def catalogue_tasks(
-    gridding: Gridding, sources: Sequence[Source], kind: str | None, written: Commits, out: str
+    gridding: Gridding,
+    sources: Sequence[Source],
+    kind: str | None,
+    written: Commits,
+    out: str,
+    crs_code: str | None,
 ) -> Iterator[Task]:
     """One for each file.
 
@@ -99,8 +104,10 @@ def catalogue_tasks(
     written : Commits
         Of the stages export and mosaic.
     out : str
+    crs_code : str or None
+        See `tiler.export.stac.horizontal_code`.
     """
-    maker = _Catalogue(gridding, sources, kind, written)
+    maker = _Catalogue(gridding, sources, kind, written, crs_code)
     for path, content in maker.documents().items():
         folder, _, name = path.rpartition("/")
         work = WriteText(
@@ -115,9 +122,15 @@ class _Catalogue:
     """Makes the documents of a run; parameters as of `catalogue_tasks`."""
 
     def __init__(
-        self, gridding: Gridding, sources: Sequence[Source], kind: str | None, written: Commits
+        self,
+        gridding: Gridding,
+        sources: Sequence[Source],
+        kind: str | None,
+        written: Commits,
+        crs_code: str | None,
     ) -> None:
         self._gridding, self._plan, self._written = gridding, gridding.plan, written
+        self._crs_code = crs_code
         self._globe = stac.Globe(self._plan.meta.frame.crs_wkt)
         self._type = "eopc" if kind == "dim" else "lidar"
         self._sources = sources
@@ -225,7 +238,7 @@ class _Catalogue:
             "geometry": self._globe.polygon(box), **({} if bbox is None else {"bbox": bbox}),
             "properties": {
                 "title": "Terrain", "description": self._description, **self._dates(),
-                "proj:code": self._globe.code, "proj:wkt2": self._plan.meta.frame.crs_wkt,
+                "proj:code": self._crs_code, "proj:wkt2": self._plan.meta.frame.crs_wkt,
                 "proj:bbox": list(box), "proj:geometry": {"type": "Polygon", "coordinates": [stac.corners(box)]},
                 "proj:shape": [spec.height, spec.width], "proj:transform": list(spec.transform(COUNTS_PER_UNIT)),
             },

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tiler.core.lattice import Cell
 from tiler.core.products import CONTOURS
 from tiler.errors import ProcessingError, refused_write
 from tiler.export import WriteCog
+from tiler.export.stac import horizontal_code
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
 from tiler.runs.job import Job
@@ -58,7 +60,9 @@ def export(
     written |= planned(gridding)
     put_aside(job, written.values(), basis)
     _make_folders(rasters, out)  # only now: the folder of sheets that were put aside is gone
-    made = _write(job, "export", tasks, out)
+    with ThreadPoolExecutor(1) as meanwhile:  # the workers write
+        crs_code = meanwhile.submit(_crs_code, job)
+        made = _write(job, "export", tasks, out)
     job.store.drop_records()
     _tell_of_contours(job)
     _tell_of_outline(job)
@@ -67,7 +71,7 @@ def export(
     if mosaics or job.store.committed("mosaic"):
         mosaics += index_tasks(tasks, made, out)
         made |= _write(job, "mosaic", mosaics, out)
-    catalogue = list(catalogue_tasks(gridding, sources, kind_of(job), made, out))
+    catalogue = list(catalogue_tasks(gridding, sources, kind_of(job), made, out, crs_code.result()))
     _make_folders(catalogue, out)
     made |= _write(job, STAGE, catalogue, out)
     files = [task.key for task in (*tasks, *mosaics, *catalogue) if task.key.endswith(PRODUCTS)]
@@ -91,6 +95,15 @@ def export(
         raise ProcessingError(
             f"{job.record.failed[-1]['key']} could not be written: {job.record.failed[-1]['error']}"
         )
+
+
+def _crs_code(job: Job) -> str | None:
+    """`horizontal_code` of the run's CRS, which the store keeps: a run that finds all done does not work it out."""
+    known: dict[str, str | None] | None = job.store.get_state("crs")
+    if known is None:
+        known = {"code": horizontal_code(job.plan.meta.frame.crs_wkt)}
+        job.store.put_state("crs", known)
+    return known["code"]
 
 
 def _make_folders(tasks: list[Task], out: str) -> None:
