@@ -15,6 +15,22 @@ GRID_CELLS_PER_VERTEX = 2
 
 
 @kernel
+def _fill(row: Int32Array) -> bool:
+    """Give empty cells (-1) of a row the value of the nearest filled one; False if none is filled."""
+    before, start = -1, 0
+    for k in range(row.size + 1):
+        if k < row.size and row[k] < 0:
+            continue
+        if k == row.size and before < 0:
+            return False
+        for empty in range(start, k):
+            nearer = before < 0 or (k < row.size and k - empty < empty - before)
+            row[empty] = row[k if nearer else before]
+        before, start = k, k + 1
+    return True
+
+
+@kernel
 def _start_grid(
     vertices: Int32Array, n: int, west: int, south: int, cell: int, height: int, width: int
 ) -> Int32Array:
@@ -24,11 +40,9 @@ def _start_grid(
         row = quotient(vertices[4 * v + 1] - south, cell, inverse)
         column = quotient(vertices[4 * v] - west, cell, inverse)
         grid[row * width + column] = max(vertices[4 * v + 3], 0)
-    last = np.int32(0)
-    for k in range(grid.size):
-        if grid[k] < 0:
-            grid[k] = last
-        last = grid[k]
+    for row in range(height):
+        if not _fill(grid[row * width : (row + 1) * width]):
+            grid[row * width : (row + 1) * width] = grid[(row - 1) * width : row * width]
     return grid
 
 
