@@ -23,5 +23,6 @@ def test_a_walk_starts_at_a_triangle_of_the_nearest_cell_of_its_row_that_holds_a
     nearest = np.where(places < 50_000, 20_000, 80_000)
     clear = abs(places - 50_000) > 4000
     near = (abs(corner_x - nearest[:, np.newaxis]) <= 3000).any(axis=1)
-    assert clear.sum() > 15 and near[clear].all()
+    assert clear.sum() > 15
+    assert near[clear].all()
     assert (grid >= 0).all()
