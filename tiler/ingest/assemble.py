@@ -134,7 +134,8 @@ def bucket_order(
     """
     origin = block.origin if block.origin is not None else np.arange(len(block), dtype=np.int64)
     keys, fine_of = _sort_keys(block.xyz, frame, bucket, fine, cell)
-    order = np.lexsort(keys[::-1]) if len(keys) > 1 else np.argsort(keys[0], kind="stable")
+    # Not a stable sort, which takes three times as long: equal points are put in order below.
+    order = np.lexsort(keys[::-1]) if len(keys) > 1 else np.argsort(keys[0])
     again = np.ones(len(order), dtype=np.bool_)
     again[:1] = False
     for key in keys:

@@ -44,7 +44,8 @@ class SpoolStore(StorePart):
         for number, chunk in enumerate(chunks, first):
             at = number * SPOOL_CHUNK
             pieces.append(chunk[max(start - at, 0) : stop - at])
-        raw = np.concatenate([np.empty((0, array.kind.chunks[1]), np.uint8), *pieces])
+        nothing = np.empty((0, array.kind.chunks[1]), np.uint8)
+        raw = pieces[0] if len(pieces) == 1 else np.concatenate([nothing, *pieces])
         records = raw.reshape(-1).view(layout.record_type(self.meta.has_rgb))
         names = [f.name for f in fields(PointBlock) if f.name in (records.dtype.names or ())]
         return PointBlock(**{name: np.ascontiguousarray(records[name].T) for name in names})
