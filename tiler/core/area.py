@@ -83,11 +83,11 @@ class Area:
         return found
 
     def covers(self, bounds: Bounds) -> bool:
-        """Every count of the bounds is inside; False where an outline runs through them, whatever lies beyond it."""
+        """Whether every count of the bounds is inside; False where an outline runs through them."""
         return not _near(self._outline, bounds).size and self._holds_corner(bounds)
 
     def touches(self, bounds: Bounds) -> bool:
-        """Some count of the bounds is inside, or as good as at the edge."""
+        """Whether some count of the bounds is inside, or so near to the edge that rounding decides."""
         return bool(_near(self._outline, bounds).size) or self._holds_corner(bounds)
 
     def cells(self, lattice: Lattice, window: Bounds, margin: int) -> Runs | None:

@@ -100,7 +100,7 @@ class Breaklines:
             Ground points, local counts.
         window : Bounds
         data : Bounds
-            Of all points of the run, beyond which no line has a say.
+            Of all points of the run, beyond which lines have no influence.
         origin : tuple of int
             Absolute counts of the local 0.
         """

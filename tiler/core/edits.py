@@ -119,7 +119,7 @@ class Edits:
     Attributes
     ----------
     cell : Lattice
-        Of whose cells `TO_GROUND` takes the lowest point, where it takes these.
+        `TO_GROUND` takes the lowest point of each of its cells, where it takes lowest points.
     """
 
     edits: tuple[Edit, ...]
@@ -202,7 +202,7 @@ class Edits:
 
 
 def ground_with(is_ground: npt.NDArray[np.bool_], forced: Int8) -> npt.NDArray[np.bool_]:
-    """Which points are ground once the edits had their say."""
+    """Which points are ground after the edits."""
     found: npt.NDArray[np.bool_] = (is_ground & (forced == UNTOUCHED)) | (forced == FORCED_ON)
     return found
 

@@ -24,7 +24,7 @@ KINDS = {
     LAKE: LAKE, "pond": LAKE, "reservoir": LAKE, "basin": LAKE, "sea": LAKE, "lagoon": LAKE,
     RIVER: RIVER, "stream": RIVER, "canal": RIVER, "ditch": RIVER,
 }  # fmt: skip
-"""Kinds as files name them, and which of the two ways of being level each is."""
+"""Kinds as files name them, and whether each is level as a lake or falls as a river."""
 
 
 @dataclass(frozen=True, eq=False)

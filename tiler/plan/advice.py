@@ -28,9 +28,9 @@ COLOURS_WITHOUT_TIME = 2
 """Point format of matched clouds: scanners keep the time of each pulse."""
 
 TOO_WIDE = 0.8
-"""Share of ``max_building_size`` from which a roof that is left in the terrain is told of."""
+"""A roof that is left in the terrain is warned of from this share of ``max_building_size`` on."""
 PART_CELLS = 500
-"""Sides of the parts in which terrain is looked at: memory is that of one."""
+"""Side, in cells, of the parts in which terrain is examined: memory is that of one."""
 STRIP_ROWS = 512
 """Pixels of a part that are read at once."""
 
@@ -38,7 +38,7 @@ STRIP_ROWS = 512
 def before(
     sources: Sequence[SourceInfo], config: RunConfig, density: float, halo_m: float | None
 ) -> Iterator[str]:
-    """What headers and a sample of points show.
+    """Warnings that follow from headers and a sample of points.
 
     Parameters
     ----------

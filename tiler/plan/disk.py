@@ -28,14 +28,14 @@ COPIES = 2
 CLASSIFIED_SHARE = 1.2
 """Bytes of a classified file over those of its LAZ input; LAS inputs shrink."""
 MOST_PIXELS = 2e10
-"""Of one file that is mostly empty: GDAL writes some 5e7 empty ones a second."""
+"""Most pixels of one file that is mostly empty: GDAL writes some 5e7 empty ones a second."""
 MANY_PIXELS, MOSTLY_EMPTY = 1e9, 0.99
 """A file of more pixels of which a larger share is empty is warned of."""
 
 
 @dataclass(frozen=True)
 class Pixels:
-    """Of one product: in blocks near points, and in blocks of its files that are empty; of its largest file."""
+    """Pixels of one product: in blocks near points, in empty blocks of its files, and in its largest file."""
 
     filled: float
     empty: float

@@ -26,7 +26,7 @@ from tiler.plan.sizes import bounds_of, hull_of
 FRAME = 2 * (INT32_LIMIT - 10_000 * COUNTS_PER_UNIT)
 """Counts across which coordinates fit the frame, whose origin is the middle on a round number; a halo has room."""
 PARTS = 16
-"""Parts of files are told from one another on a lattice of so many cells along the longer side of all."""
+"""Groups of files are separated on a lattice with so many cells along the longer side of all."""
 FEW = 4
 """What is left out is at most the fourth part of all files."""
 FARTHEST_M = 5e7

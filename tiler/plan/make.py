@@ -29,7 +29,7 @@ from tiler.plan.drawings import with_drawings
 from tiler.plan.halos import own_halo, planned_passes
 from tiler.plan.memory import fine_cell_m
 from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
-from tiler.plan.refuse import refuse, refuse_places, refuse_targets, warnings_of
+from tiler.plan.refuse import refuse, refuse_places, refuse_resolution, refuse_targets, warnings_of
 from tiler.plan.tiles_of_points import near_nodes, refuse_far, with_crs_of_tiles
 from tiler.report import earlier_statistics
 from tiler.schedule import FORKS, Guards
@@ -84,6 +84,7 @@ def make_plan(
     metres = float(agreement.units.horizontal)
     found = _without(found, beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
     plan = _settled(found, config, parameters, defaults)
+    refuse_resolution(plan)  # else the raster would be called too large
     while remedy := too_much_between(plan, folder):
         found = _without(found, minority(plan.filled, agreement.wkt, metres, remedy), config)
         plan = _settled(found, config, parameters, defaults)

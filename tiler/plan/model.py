@@ -32,7 +32,7 @@ from tiler.plan.memory import (
 from tiler.store import StoreMeta
 
 BRIDGE_REACH_M = 300
-"""Around an area in which points are read for a bridge across its border: as long as the longest."""
+"""Distance around an area within which points are read for bridges across its border: the length of the longest."""
 KEEP = "keep"
 """The method that trusts the classes of the input."""
 
@@ -40,7 +40,7 @@ PIECE_POINTS = 1_000_000
 MAX_GROUND = 4_000_000
 """Points that the window of a part of a block may hold; denser clouds give one a quarter pixel, everywhere."""
 SURFACE_SHARE, THIN_SHARE = 2, 4
-"""Parts of a pixel's side: cells that give one point to the surface, by percentile or for the sake of memory."""
+"""Cells along a pixel's side of which each gives one point to the surface: by percentile, and to save memory."""
 PART = 128
 """Pixels a side of the parts into which blocks are divided where points are many."""
 
@@ -235,9 +235,9 @@ class Plan:
 
     @property
     def thin_ground(self) -> bool:
-        """Only one ground point per quarter pixel makes the surface.
+        """Whether only one ground point per quarter of a pixel's side makes the surface.
 
-        Where parts of the mean density, or the smallest one in the fullest place, would hold too many.
+        It is so where a part of the mean density, or the smallest part in the fullest place, would hold too many.
         """
         if self.thin is not None:
             return self.thin
@@ -246,7 +246,7 @@ class Plan:
 
     @property
     def surface_share(self) -> int | None:
-        """Parts of a pixel's side whose cells give one point to the surface; None: all ground points make it."""
+        """Cells along a pixel's side of which each gives one point to the surface; None: all ground points make it."""
         if self.config.surface_percent is not None:
             return SURFACE_SHARE
         return THIN_SHARE if self.thin_ground else None

@@ -46,13 +46,13 @@ WIDEST_PIXEL = 1 << 26
 """Counts of a pixel's side from which on gridding is not exact in int64."""
 WIDEST_RELIEF_M = 9000
 WIDE_TILE = 2 + 2 * math.sqrt(2)
-"""Halos in a tile that does twice the work."""
+"""Side of a tile, in halos, with which twice the work is done."""
 
 NAMED = 5
 """Files that a refusal names; the others are counted."""
 
 MUCH_OVERLAP = 3.0
-"""Padded area over core area, mean of the passes, from which on it is told of."""
+"""Padded area over core area, mean of the passes, above which a warning says so."""
 
 STRETCHED = 1.05
 """Length in the plane over length on the ground, or the inverse, from which on a CRS is warned of: those made
@@ -157,9 +157,8 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
         )
 
 
-def refuse(plan: Plan, out: Path | None) -> None:
-    """Raise ConfigError for settings that would fail on the way: memory, disk, resolution."""
-    _refuse_memory(plan)
+def refuse_resolution(plan: Plan) -> None:
+    """Raise ConfigError for pixels with which gridding would not be exact."""
     pixel = plan.meta.frame.counts(plan.resolution)
     if pixel.denominator > MAX_DENOMINATOR:
         raise ConfigError(
@@ -171,6 +170,12 @@ def refuse(plan: Plan, out: Path | None) -> None:
         raise ConfigError(
             f"--resolution {float(plan.resolution):g} m: pixels are less than {most:,.0f} m wide; use a smaller one"
         )
+
+
+def refuse(plan: Plan, out: Path | None) -> None:
+    """Raise ConfigError for settings that would fail on the way: memory, disk, resolution."""
+    _refuse_memory(plan)
+    refuse_resolution(plan)
     sheets = plan.config.sheets
     if sheets is not None and (sheets / plan.resolution).denominator != 1:
         raise ConfigError(

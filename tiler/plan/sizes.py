@@ -23,11 +23,11 @@ FETCHED_BUCKET_M = 32
 """At most, where only a part of a file at a URL is fetched: buckets are whole, also at the edge of that part."""
 TILE_M = 512
 TILE_POINTS = 500_000
-"""So many points a tile of a sparse cloud holds, up to `SPARSE_TILE_M`: a task costs more than a few points do."""
+"""Points of a tile of a sparse cloud, whose side is `SPARSE_TILE_M` at most: a task costs more than a few points do."""
 SPARSE_TILE_M = 4096
 
 FAR_FROM_MEAN = 2.0
-"""From so many times the mean over the files' bounds on the density of the sample is right, however rough it is."""
+"""From so many times the mean over the files' bounds on the density of the sample counts, rough as it is."""
 
 SMALLEST_M2 = 1.0
 """Area of a patch at least, as of the bounds of a file."""
@@ -100,8 +100,8 @@ def tile_m(
     """Largest tile whose windows use three quarters of the memory left after start-up.
 
     At most `TILE_M`, where the points are sparse the side of `TILE_POINTS`: a window of little work is worth no task.
-    Passes that look at every point need little around a tile, and their tiles are divided where they do not fit: the
-    others, with hundreds of metres around each, are not to have small ones for that.
+    Passes that look at every point have no influence where there are others: they need little around a tile, and their
+    tiles are divided where they do not fit, but small tiles cost the others with their halos of hundreds of metres.
     """
     passes = tuple(passes)
     passes = tuple(step for step in passes if not step.work.every_point) or passes

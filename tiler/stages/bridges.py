@@ -37,7 +37,7 @@ WIDEST_M = 600.0
 FEWEST_CELLS = 4
 """A place of fewer is too small for a bridge."""
 ABOVE_M = 0.6
-"""Of a point of a deck above its surface; below it is nearer to the deck than to what lies beneath."""
+"""Largest height of a deck's points above its surface; points below it belong to the nearer of deck and ground."""
 
 
 def find_bridges(

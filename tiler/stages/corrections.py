@@ -94,7 +94,7 @@ def _with_edits(task: Task, key: str) -> Task:
 def correct(
     job: Job, assembled: Assembled, labels: Mapping[Cell, str]
 ) -> tuple[dict[Cell, str], Corrections]:
-    """Take up what the plan read; digests of the labels as they are with it, and what holds besides."""
+    """Apply the drawn features that the plan read; returns digests of the corrected labels, and the `Corrections`."""
     plan, found = job.plan, Corrections()
     corrected = dict(labels)
     decks, shapes = find_bridges(job, assembled, labels)
@@ -129,7 +129,7 @@ def _touched(lattice: Lattice, edit: Edit, cells: Mapping[Cell, Any]) -> list[Ce
 
 
 def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str], cell: Lattice) -> tuple[Edit, ...]:
-    """The edits that people drew, of each of which is known what it finds inside."""
+    """The edits that people drew, after their points were counted."""
     plan = job.plan
     if not plan.edits:
         return ()

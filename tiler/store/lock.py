@@ -174,7 +174,7 @@ def _start_of(pid: int) -> float | None:
         # psutil's time of creation moves with the clock of the wall: it is the time of the boot, and these ticks.
         after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
         return float(after_name.split()[19])
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # the latter where it ends while it is read
         if Path("/proc/self/stat").exists():
             return None
     try:

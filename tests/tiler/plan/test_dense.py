@@ -62,6 +62,13 @@ def test_ground_beside_objects_is_left_out_before_it_is_thinned(spot: Path) -> N
     assert dense.fullest_part == pytest.approx((2 * (32 * 0.5 + 2 * 0.505) / 0.5) ** 2)
 
 
+def test_a_resolution_that_is_no_exact_one_is_refused_as_such(spot: Path) -> None:
+    """Not as the raster of 1e17 pixels that it would make."""
+    for resolution in ("0.0000001", "70km"):
+        with pytest.raises(ConfigError, match=r"^--resolution \S+ m: "):
+            planned(spot, resolution=resolution, max_edge="99km")
+
+
 def test_a_part_that_cannot_fit_is_refused_with_what_helps(
     wide: Path, spot: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
