@@ -70,7 +70,8 @@ class Globe:
             return {"type": "Polygon", "coordinates": [_ring(places)]}
         whole = shapely.Polygon([(x % 360, y) for x, y in places])
         parts = [(shapely.clip_by_rect(whole, west, -90, west + 180, 90), -2 * west) for west in (0, 180)]
-        rings = [shapely.get_coordinates(polygon.orient(part)) + (shift, 0) for part, shift in parts]
+        parts = [(polygon.orient(part), shift) for part, shift in parts if not part.is_empty]
+        rings = [shapely.get_coordinates(part) + (shift, 0) for part, shift in parts]
         return {"type": "MultiPolygon", "coordinates": [[_ring(ring.tolist())] for ring in rings]}
 
 

@@ -29,6 +29,18 @@ def test_a_box_across_the_antimeridian_has_two_parts_that_hold_its_places() -> N
     assert -180 < east < -179.9
 
 
+def test_a_side_that_bulges_across_the_antimeridian_makes_no_empty_part(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    globe = Globe(FIJI.to_wkt())
+    x, y = Transformer.from_crs(4326, FIJI, always_xy=True).transform(179.9, -16.8)
+    monkeypatch.setattr(globe, "bbox", lambda box: [179.89, -16.82, -179.9999999, -16.78])
+    found = globe.polygon((x - 2000, y - 2000, x, y))
+    assert found is not None
+    assert len(found["coordinates"]) == 1
+    assert shape(found).is_valid
+
+
 @pytest.mark.parametrize(
     ("boxes", "hull"),
     [
