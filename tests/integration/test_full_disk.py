@@ -129,6 +129,13 @@ def test_a_read_only_out_is_one_line(cloud: Path, disk: SmallDisk) -> None:
         do(cloud, disk.folder / "out")
 
 
+def test_an_out_that_rasters_cannot_be_written_to_is_refused(cloud: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out\udcff"
+    with pytest.raises(ConfigError, match="its name is not UTF-8; name another folder"):
+        do(cloud, out)
+    assert not out.exists()
+
+
 def test_an_event_log_on_a_full_disk_is_one_line(tmp_path: Path) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("there is no /dev/full here")

@@ -85,9 +85,12 @@ def _classify(
         config = config.updated(workers=1)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
+        folder = TemporaryDirectory(prefix=".tiler-", dir=target.parent)
     except OSError as error:
-        raise ConfigError(f"{target}: its folder cannot be made ({error.strerror}); name another") from error
-    with TemporaryDirectory(prefix=".tiler-", dir=target.parent) as scratch:
+        raise ConfigError(
+            f"{target}: its folder cannot be made or written ({error.strerror}); name another"
+        ) from error
+    with folder as scratch:
         config = config.updated(store=None)
         summary = run([str(source)], scratch, config, listener, until="filter", known=[info]).summary
         store = open_store(str(Path(scratch) / STORE))

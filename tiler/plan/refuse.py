@@ -229,6 +229,12 @@ def _instead(plan: Plan, stage: str) -> str:
 
 def _refuse_disk(plan: Plan, out: Path) -> None:
     try:
+        str(out).encode()
+    except UnicodeEncodeError as error:  # as GDAL, which writes the rasters, takes no other names
+        raise ConfigError(
+            f"-o {out}: its name is not UTF-8; name another folder, or use a UTF-8 locale (LC_ALL=C.UTF-8)"
+        ) from error
+    try:
         existing = next(p for p in (out, *Path(os.path.realpath(out)).parents) if p.exists())
     except OSError as error:
         raise ConfigError(f"-o {out}: {error.strerror}; name another folder") from error
@@ -239,6 +245,6 @@ def _refuse_disk(plan: Plan, out: Path) -> None:
     need, free = needed_bytes(plan), free_bytes(out)
     if need > free:
         raise ConfigError(
-            f"{out}: needs about {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free; "
+            f"{out}: needs about {need / 1e6:,.0f} MB, {free / 1e6:,.0f} MB are free; "
             "free some, or use --store on another disk or fewer --products"
         )

@@ -22,10 +22,15 @@ from tiler.stages import tasks
 
 def test_a_folder_that_cannot_be_made_is_refused(make_cloud: Any, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    with pytest.raises(ConfigError, match=r"b\.laz: its folder cannot be made \(Not a directory\)"):
+    with pytest.raises(ConfigError, match=r"b\.laz: its folder cannot be made or written \(Not a dir"):
         classify_file(
             make_cloud("a.las", n=20), tmp_path / "file" / "sub" / "b.laz", RunConfig(in_process=True)
         )
+
+
+def test_a_folder_that_cannot_be_written_is_refused(make_cloud: Any) -> None:
+    with pytest.raises(ConfigError, match=r"b\.laz: its folder cannot be made or written \("):
+        classify_file(make_cloud("a.las", n=20), Path("/proc/self/b.laz"), RunConfig(in_process=True))
 
 
 @pytest.fixture

@@ -20,6 +20,9 @@ from tiler.io.partial_files import appearing
 WHEN = "2000-01-01T00:00:00.000Z"
 """In place of the time of writing, which a GeoPackage keeps for each layer: same features, same bytes."""
 
+VERSION = "1.2"
+"""Of GeoPackage: GDAL below 3.7, as in QGIS 3.22, warns of newer ones each time it opens a file."""
+
 
 class GeoPackage:
     """Takes the layers of an open file; made by `geopackage`."""
@@ -63,6 +66,7 @@ class GeoPackage:
                 geometry_type=kind,
                 crs=self._crs,
                 append=layer in self._layers,
+                dataset_options={"VERSION": VERSION},
             )
         self._layers.add(layer)
 
