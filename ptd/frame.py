@@ -140,6 +140,8 @@ class Window:
 
     def has(self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
         """Which positions (local counts) lie within: bool [n]."""
+        if not self.closed:
+            return np.ones(x.shape, np.bool_)
         found: npt.NDArray[np.bool_] = (
             (x >= self.west) & (x < self.east) & (y >= self.south) & (y < self.north)
         )

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ptd.frame import Scale, Window
 from ptd.ground import roughness
 from ptd.ground.roughness import Roughness
@@ -82,7 +84,7 @@ def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict
     wide_through = seen.wide_through / seen.wide_looks if sparse and seen.wide_looks else 0.0
     if run.get("kind") is not None:
         kind, why = run["kind"], "as --kind or the preset says"
-    elif share >= SEVERAL_SHARE:
+    elif _returns_tell(seen.several, seen.told):
         kind, why = LIDAR, f"{_percent(share)} % of the points are one of several returns"
     elif through >= SEEN_THROUGH_SHARE or wide_through >= WIDE_SHARE:
         kind, most = LIDAR, max(through, wide_through)
@@ -111,6 +113,11 @@ def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict
     return survey, f"decided: {named} ({why}); {found.density_m2:.3g} points/m2, {told}"
 
 
+def _returns_tell(several: int, told: int) -> bool:
+    """Whether returns alone say that a run is a laser scan."""
+    return told > 0 and several / told >= SEVERAL_SHARE
+
+
 def _percent(share: float) -> str:
     """In two digits, without an exponent."""
     return f"{float(f'{100 * share:.2g}'):g}"
@@ -130,13 +137,12 @@ class SurveyPass(Pass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
         """Count."""
         counts = dict.fromkeys(Seen._fields, 0)
-        if state["run"].get("kind") is None:
-            counts |= penetration.seen_through(points.xyz, core, scale)
         if points.returns is not None:
-            x, y = points.xyz[:2]
-            own = (x >= core.west) & (x < core.east) & (y >= core.south) & (y < core.north)
-            of = points.returns[1, own]
-            counts |= {"told": int((of > 0).sum()), "several": int((of > 1).sum())}
+            of = points.returns[1, core.has(*points.xyz[:2])] if core.closed else points.returns[1]
+            counts |= {"told": int(np.count_nonzero(of)), "several": int(np.count_nonzero(of > 1))}
+        whole_run_told = not core.closed and _returns_tell(counts["several"], counts["told"])
+        if state["run"].get("kind") is None and not whole_run_told:
+            counts |= penetration.seen_through(points.xyz, core, scale)
         found = roughness.measure(points.xyz, window, core, scale) | counts
         return Measured(found, {"points": found["points"]})
 

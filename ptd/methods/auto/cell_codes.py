@@ -44,19 +44,29 @@ class CellCodes(Model):
         self.stats, self._certain = {"cells": int(x.size), **stats}, certain
         self._codes = np.append(codes, np.uint8(UNCLASSIFIED))
         self._doubtful = np.zeros(x.size + 1, np.bool_) if doubtful is None else np.append(doubtful, False)
-        self._index = CellIndex(x, y, cells) if x.size else None
+        self._x, self._y, self._cells = x, y, cells
+        self._index: CellIndex | None = None
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Codes (uint8 [n]) and marks (bool [n]) of the cells of points."""
         x, y, _ = points.columns()
-        slots = np.full(x.size, -1, np.int32)
-        if self._index is not None:
-            slots = self._index.find(x, y)
-        marked = self._doubtful[slots]
+        if np.array_equal(x, self._x) and np.array_equal(y, self._y):  # as in an untiled run
+            codes, marked = self._codes[:-1].copy(), self._doubtful[:-1].copy()
+        else:
+            slots = self._slots(x, y)
+            codes, marked = self._codes[slots], self._doubtful[slots]
         if self._certain.closed:
             w = self._certain
             marked |= (x < w.west) | (y < w.south) | (x >= w.east) | (y >= w.north)
-        return self._codes[slots], marked
+        return codes, marked
+
+    def _slots(self, x: Int32, y: Int32) -> Int32:
+        """Which of the model's cells points lie in, -1 in none: int32 [n]."""
+        if self._x.size == 0:
+            return np.full(x.size, -1, np.int32)
+        if self._index is None:
+            self._index = CellIndex(self._x, self._y, self._cells)
+        return self._index.find(x, y)
 
 
 def lowest_points(points: Points, cells: Cells) -> tuple[Int32, Int32, Int32, UInt8]:

@@ -1,4 +1,4 @@
-"""What made a sparse cloud without plants, where nothing shows what is seen through: the noise of flat places."""
+"""What tells a laser scan from a matched cloud where returns or the noise of flat places decide."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 import ptd
+from ptd.frame import Scale, Window
+from ptd.matched.survey import SurveyPass
+from ptd.passes import Points
 
 
 @pytest.mark.parametrize(("sigma_m", "kind"), [(0.02, "laser scanning (sparse"), (0.07, "image matching")])
@@ -20,3 +23,19 @@ def test_flat_places_of_a_bare_town_tell_a_laser_from_a_matcher(sigma_m: float, 
     assert f"decided: {kind}" in found.decisions["statistics"]["notes"][0]
     assert (found.classification[~house] == 2).mean() > 0.98
     assert not (found.classification[house] == 2).any()
+
+
+@pytest.mark.parametrize(("core", "several", "looks"), [(2**40, 1, 0), (2**40, 0, 9), (9_000, 1, 9)])
+def test_what_is_seen_through_is_counted_unless_returns_of_the_whole_run_tell(
+    core: int, several: int, looks: int
+) -> None:
+    """A point in each of nine cells of 2 m, one of several returns or none; a tile does not know the run's others."""
+    x, y = (np.ascontiguousarray(v.ravel(), np.int32) for v in np.mgrid[1000:6000:2000, 1000:6000:2000])
+    returns = np.ones((2, 9), np.uint8)
+    returns[1, 4] += several
+    window = Window(-core, -core, core, core)
+    model = SurveyPass().fit(
+        Points(np.stack([x, y, x]), returns=returns), window, window, Scale(), {"run": {"kind": None}}
+    )
+    partial = model.partial()
+    assert (partial["told"], partial["several"], partial["looks"]) == (9, several, looks)

@@ -32,6 +32,8 @@ def test_points_take_the_code_of_their_cell(far: int) -> None:
     assert codes.tolist() == [3, 3, 4, 7, 1, 1]
     assert marks.tolist() == [False, False, True, False, True, False]
     assert model.stats == {"cells": 3, "seeds": 2}
+    codes, marks = model.label(Points(np.stack([x, y, x])))  # of the cells' own points no cell is looked up
+    assert (codes.tolist(), marks.tolist()) == ([3, 4, 7], [False, True, False])
 
 
 def test_without_a_point_all_is_missing() -> None:
