@@ -114,6 +114,8 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
     width = cells.column(int(x.max())) - col0 + 1
     n_cells = width * (cells.row(int(y.max())) - row0 + 1)
     keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+    if np.all(keys[1:] > keys[:-1]):  # one point a cell in order: what an earlier call gave
+        return np.arange(x.size, dtype=np.int32)
     if n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024:
         lowest = lowest_by_key(x, y, z, keys, n_cells)
         return lowest[lowest >= 0]
