@@ -9,7 +9,8 @@ import pytest
 
 import ptd
 from ptd.frame import Scale, Window
-from ptd.methods import chen2023, make_params
+from ptd.methods import make_params
+from ptd.methods.chen2023 import method as chen2023
 from ptd.methods.chen2023.method import Chen2023
 from ptd.passes import Points
 
