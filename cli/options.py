@@ -49,7 +49,8 @@ def config_options(only: Collection[str] | None = None) -> Callable[[Command], C
             "config_file",
             type=click.Path(path_type=Path),
             metavar="FILE.toml",
-            help="settings in a file (see `tiler config --template`); they win over --preset, options over them "
+            help="settings in a file (see `tiler config --template`); they replace those of --preset, and options "
+            "of the command line replace them "
             "[default: none]",
         )
         return file_option(command)
