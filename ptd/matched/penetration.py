@@ -103,7 +103,7 @@ def _seen_through(keys: Int64, gap: Bool, own: Bool, width: int, least: int) -> 
     return n
 
 
-def seen_through(xyz: Int32, core: Window, scale: Scale) -> dict[str, int]:
+def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True) -> dict[str, int]:
     """Cells of a core, and how many of them are seen through.
 
     Parameters
@@ -112,6 +112,8 @@ def seen_through(xyz: Int32, core: Window, scale: Scale) -> dict[str, int]:
         All points within `REACH_M` of the core, local counts, in any order; more may be there.
     core : Window
     scale : Scale
+    wide_cells : bool
+        Count in wide cells, too; else there are none, and nothing is seen through in them.
 
     Returns
     -------
@@ -120,8 +122,9 @@ def seen_through(xyz: Int32, core: Window, scale: Scale) -> dict[str, int]:
         ``wide_looks`` and ``wide_through``, and how many have a gap (``wide_gaps``).
     """
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
+    nothing = dict.fromkeys(("looks", "through", "wide_looks", "wide_through", "wide_gaps"), 0)
     if x.size == 0:
-        return dict.fromkeys(("looks", "through", "wide_looks", "wide_through", "wide_gaps"), 0)
+        return nothing
     cells = Cells.of(CELL_M, scale)
     col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min()))
     width = cells.column(int(x.max())) + 2 - col0
@@ -131,7 +134,8 @@ def seen_through(xyz: Int32, core: Window, scale: Scale) -> dict[str, int]:
     gap = _gaps(z, slot, z[lowest], scale.counts_z(BIN_M))
     own = core.has(x[lowest], y[lowest])
     through = int(_seen_through(keys, gap, own, width, LEAST_OF_9))
-    return {"looks": int(own.sum()), "through": through} | _of_wide_cells(x, y, z, core, scale)
+    found = nothing | {"looks": int(own.sum()), "through": through}
+    return found | _of_wide_cells(x, y, z, core, scale) if wide_cells else found
 
 
 def _of_wide_cells(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> dict[str, int]:

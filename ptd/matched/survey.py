@@ -140,10 +140,12 @@ class SurveyPass(Pass):
         if points.returns is not None:
             of = points.returns[1, core.has(*points.xyz[:2])] if core.closed else points.returns[1]
             counts |= {"told": int(np.count_nonzero(of)), "several": int(np.count_nonzero(of > 1))}
-        whole_run_told = not core.closed and _returns_tell(counts["several"], counts["told"])
-        if state["run"].get("kind") is None and not whole_run_told:
-            counts |= penetration.seen_through(points.xyz, core, scale)
-        found = roughness.measure(points.xyz, window, core, scale) | counts
+        found = roughness.measure(points.xyz, window, core, scale)
+        told = not core.closed and _returns_tell(counts["several"], counts["told"])
+        if state["run"].get("kind") is None and not told:
+            dense = not core.closed and roughness.merge([found]).density_m2 >= WIDE_M2
+            counts |= penetration.seen_through(points.xyz, core, scale, wide_cells=not dense)
+        found |= counts
         return Measured(found, {"points": found["points"]})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -82,3 +82,29 @@ def test_columns_and_labels_go_from_pass_to_pass() -> None:
 def test_what_does_not_fit_is_refused(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ptd.classify(XYZ, "echo", **arguments)
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ([0.0, 0.0, 2.5e6], r"^xyz has heights of 2.5e\+06 m above or below 0; up to 2000 km are allowed$"),
+        ([0.0, 0.0, -2.5e6], "^xyz has heights of 2.5e"),
+        ([0.0, 70_000.0, 0.0], "^xyz extends over 70 km; above 60 km use tiles$"),
+        ([0.0, np.nan, 0.0], "^xyz has values that are not finite; leave those points out$"),
+        ([-np.inf, 0.0, 0.0], "^xyz has values that are not finite"),
+    ],
+)
+def test_what_no_count_holds_is_refused(place: list[float], message: str) -> None:
+    """The last of 20,000 points: in another block than the first."""
+    xyz = np.zeros((20_000, 3))
+    xyz[-1] = place
+    with pytest.raises(ValueError, match=message):
+        ptd.classify(xyz, "classic")
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_the_points_given_stay_as_they_were(order: Literal["C", "F"]) -> None:
+    xyz = np.asarray(np.random.default_rng(1).uniform(0, 20, (500, 3)), order=order)
+    before = xyz.copy()
+    ptd.classify(xyz, "classic")
+    assert np.array_equal(xyz, before)

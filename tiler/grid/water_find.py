@@ -99,10 +99,15 @@ def _cells(store: TileStore, work: FindWater, size_m: float) -> Cells:
         block = spec.block_named(key, BLOCK_PIXELS)
         heights = store.read_block(work.heights, block)
         rows, cols = np.nonzero(heights != np.float32(NODATA))
+        if rows.size == 0:
+            continue
         cell_rows, cell_cols = coarse_cells(coarse, spec, block)
-        places = cell_rows[rows], cell_cols[cols]
-        np.add.at(total, places, heights[rows, cols])
-        np.add.at(number, places, 1)
+        row, col = int(cell_rows[rows].min()), int(cell_cols[cols].min())
+        shape = int(cell_rows[rows].max()) + 1 - row, int(cell_cols[cols].max()) + 1 - col
+        places, size = (cell_rows[rows] - row) * shape[1] + (cell_cols[cols] - col), shape[0] * shape[1]
+        near = np.s_[row : row + shape[0], col : col + shape[1]]
+        total[near] += np.bincount(places, heights[rows, cols], size).reshape(shape)
+        number[near] += np.bincount(places, minlength=size).reshape(shape)
     ground = np.where(number > 0, total / np.maximum(number, 1), np.nan) * float(
         store.meta.frame.units.vertical
     )

@@ -28,7 +28,7 @@ from tiler.plan.sizes import SPARSE_TILE_M
 WIDEST_WINDOW = MAX_EXTENT // 2
 """Counts of a window's side with which a TIN is exact, however the method widens it."""
 
-NEAR_HALF = 0.1
+NEAR_HALF = 0.05
 """Share of the points by which the halves of a tile may differ from one half."""
 
 Records = Mapping[Cell, Mapping[str, Any]]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 from tiler.io.locations import location
@@ -89,9 +90,8 @@ def _look_at_workers(
 
 def _executor(plan: Plan, scheduler: str | None) -> Executor:
     config, memory = plan.config, MEMORY_TIMES * plan.memory + MEMORY_MORE_BYTES
-    return make_executor(
-        plan.workers, scheduler, config.in_process, Limits(memory, config.task_seconds, prepare)
-    )
+    limits = Limits(memory, config.task_seconds, partial(prepare, plan.memory))
+    return make_executor(plan.workers, scheduler, config.in_process, limits)
 
 
 class Crew:

@@ -16,6 +16,15 @@ from tiler.errors import DamagedError, DiskFullError, TilerError
 from tiler.schedule import Outcome, Task
 from tiler.store import open_store
 
+KEPT_SHARE = 8
+"""Between tasks a worker keeps this part of its memory at most: freed arrays, for those of the next task."""
+
+_M_TRIM_THRESHOLD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -4, -8  # of malloc.h
+_NO_GLIBC = (OSError, AttributeError, TypeError)
+
+_kept_bytes = 0
+"""How large this process may stay between tasks; 0: as small as it can."""
+
 
 def peak_rss_bytes() -> int:
     """Largest resident memory of this process so far."""
@@ -36,19 +45,49 @@ def _forget_peak() -> None:
 
 
 def _give_back() -> None:
-    """Return freed memory to the system.
+    """Return freed memory to the system where there is more than `prepare` lets a worker keep.
 
     The allocator of the C library keeps what a task freed, in pieces too small for the next stage's arrays: a worker
-    would grow with the number of tasks that it has done.
+    would grow with the number of tasks that it has done. But a page that comes anew from the system is cleared first,
+    and on a virtual machine often fetched from the host: what the next task uses again costs neither.
     """
-    with suppress(OSError, AttributeError, TypeError):  # of glibc alone
-        library: Any = ctypes.CDLL(None)
-        library.malloc_trim(0)
+    if _resident_bytes() > _kept_bytes:
+        with suppress(*_NO_GLIBC):
+            _c_library().malloc_trim(0)
 
 
-def prepare() -> None:
-    """What each worker would do by itself: the first kernel that is called loads most of numba."""
+def _keep_freed_memory() -> None:
+    """Have the allocator keep large arrays as well that are freed, which it gives back one by one otherwise."""
+    with suppress(*_NO_GLIBC):
+        for option, value in ((_M_MMAP_MAX, 0), (_M_TRIM_THRESHOLD, 2**31 - 1), (_M_ARENA_MAX, 1)):
+            _c_library().mallopt(option, value)
+
+
+def _resident_bytes() -> int:
+    return int(psutil.Process().memory_info().rss)
+
+
+def _c_library() -> Any:
+    return ctypes.CDLL(None)
+
+
+def load_kernels() -> None:
+    """Call a kernel, the first of which loads most of numba."""
     wide(0)
+
+
+def prepare(memory_bytes: int) -> None:
+    """What each worker would do by itself, and how much freed memory it may keep.
+
+    Parameters
+    ----------
+    memory_bytes : int
+        Allowed for a worker; an eighth of it may stay with the process between tasks.
+    """
+    global _kept_bytes
+    load_kernels()
+    _keep_freed_memory()
+    _kept_bytes = _resident_bytes() + memory_bytes // KEPT_SHARE
 
 
 def perform(store_url: str, task: Task) -> Outcome:

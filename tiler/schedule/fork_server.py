@@ -35,7 +35,10 @@ WORKING = (
     "tiler.pipeline",
     "ptd.methods.auto.method",
     "scipy.ndimage",
-    "tiler.runs.worker:prepare",
+    "tiler.runs.worker:load_kernels",
+    "scipy.spatial",
+    "scipy.optimize",
+    "pyogrio",
 )
 """For `prepare_children`: what workers of a run need, by name, as it is of layers above."""
 
@@ -76,6 +79,13 @@ class ForkedChild:
         """Have the server kill it: it alone knows that the number is still this child's."""
         with suppress(OSError):  # it ended
             self._line.shutdown(socket.SHUT_WR)
+
+    def leave(self) -> None:
+        """Have the server kill it, and do not wait until it has: the server may be importing."""
+        for end in (self._line, self.stdin, self.stdout):
+            with suppress(OSError):  # what was to be written has no reader any more
+                end.close()
+        _used(self._server, -1)
 
     def wait(self, timeout: float | None = None) -> int:
         """Its exit code, as that of `subprocess.Popen`, when it has ended; raises `subprocess.TimeoutExpired`."""

@@ -134,6 +134,15 @@ class Guard:
             self._child.kill()
             self._end()
 
+    def leave(self) -> None:
+        """As `close`, without waiting until the child has ended: for one that is not in the midst of writing."""
+        child = self._child
+        if isinstance(child, ForkedChild):
+            self._child = None
+            child.leave()
+        else:
+            self.close()
+
     def _end(self) -> int:
         """Wait for a child that ends and return its exit code."""
         child, self._child = self._child, None

@@ -48,7 +48,7 @@ class Guards:
             guard.kill()
         self._threads.shutdown(cancel_futures=True)
         for guard in self._all:
-            guard.close()
+            guard.leave()
 
     def each(
         self, function: Callable[[Guard, Item], Result], items: Iterable[Item]

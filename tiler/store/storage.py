@@ -265,15 +265,22 @@ def _file_bytes(path: str) -> bytes | None:
 def _write_file(path: str, data: bytes) -> None:
     """Write a file that has its name only when it is whole; a killed write leaves scratch (`layout.is_scratch`)."""
     partial = f"{path}.{uuid.uuid4().hex}.partial"
-    os.makedirs(os.path.dirname(path), exist_ok=True)
     try:
-        with open(partial, "wb") as file:
-            file.write(data)
+        try:
+            _fill(partial, data)
+        except FileNotFoundError:  # the first file of its folder
+            os.makedirs(os.path.dirname(path), exist_ok=True)
+            _fill(partial, data)
         os.replace(partial, path)
     except OSError:
         with suppress(OSError):
             os.unlink(partial)
         raise
+
+
+def _fill(path: str, data: bytes) -> None:
+    with open(path, "wb") as file:
+        file.write(data)
 
 
 async def _collected(items: AsyncIterator[str]) -> list[str]:

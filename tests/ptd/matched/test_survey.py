@@ -39,3 +39,13 @@ def test_what_is_seen_through_is_counted_unless_returns_of_the_whole_run_tell(
     )
     partial = model.partial()
     assert (partial["told"], partial["several"], partial["looks"]) == (9, several, looks)
+
+
+@pytest.mark.parametrize(("side", "core", "wide"), [(2.0, 2**40, 0), (1.0, 2**40, 9), (2.0, 12_000, 9)])
+def test_wide_cells_are_counted_unless_the_whole_run_is_dense(side: float, core: int, wide: int) -> None:
+    """``side`` squared points a square metre, on 12 x 12 m; a tile does not know how dense the run is."""
+    x, y = (v.ravel().astype(np.int32) for v in np.mgrid[0 : 12_000 : 1000 / side, 0 : 12_000 : 1000 / side])
+    window = Window(-core, -core, core, core)
+    points = Points(np.stack([x, y, np.zeros_like(x)]), returns=np.zeros((2, x.size), np.uint8))
+    partial = SurveyPass().fit(points, window, window, Scale(), {"run": {"kind": None}}).partial()
+    assert (partial["looks"], partial["wide_looks"]) == (36, wide)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import sys
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
-from tiler.runs.worker import peak_rss_bytes, perform
-from tiler.schedule import Task
+from tiler.runs.worker import peak_rss_bytes, perform, prepare
+from tiler.schedule import Guard, Task
 from tiler.store import StoreMeta, create_store
 
 
@@ -34,3 +36,20 @@ def test_a_task_is_told_of_with_its_own_peak(tmp_path: Path) -> None:
     assert large.record == {"pieces": 1024}
     assert large.peak_rss_bytes - small.peak_rss_bytes > 200 << 20
     assert peak_rss_bytes() < large.peak_rss_bytes
+
+
+def resident_after(url: str) -> int:
+    """Resident bytes of this process when it has done a task that held 256 MB."""
+    perform(url, Task("s", "large", "d", takes, {"megabytes": 256}, 1))
+    return int(psutil.Process().memory_info().rss)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the allocator of glibc")
+def test_a_worker_keeps_freed_memory_up_to_an_eighth_of_what_it_may_have(tmp_path: Path) -> None:
+    url = str(tmp_path / "store.zarr")
+    create_store(url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False))
+    left = []
+    for memory_bytes in (64 << 20, 4 << 30):
+        with Guard(None, partial(prepare, memory_bytes)) as guard:
+            left.append(guard.call(resident_after, url, seconds=60.0))
+    assert left[1] - left[0] > 200 << 20
