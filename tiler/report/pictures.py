@@ -228,8 +228,8 @@ def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Pictu
     shade = np.empty(heights.shape, np.float32)
     for strip in _strips(rows):
         first, last = max(strip.start - 1, 0), min(strip.stop + 1, rows)  # a row of neighbours on either side
-        part = heights[first:last].astype(np.float64) * metres["vertical"]
-        level = np.where(np.isfinite(part), 0.0, np.nan)
+        part = heights[first:last] * np.float32(metres["vertical"])
+        level = np.where(np.isfinite(part), np.float32(0.0), np.float32(np.nan))
         to_south = np.gradient(part, down, axis=0) if rows > 1 else level
         to_east = np.gradient(part, across, axis=1) if columns > 1 else level
         inner = slice(strip.start - first, strip.stop - first)
@@ -280,7 +280,7 @@ def _ramp(
 ) -> Picture:
     indexed = np.zeros(values.shape, np.uint8)
     for strip in _strips(len(values)):
-        share = np.clip((values[strip].astype(np.float64) - low) / max(high - low, 1e-9), 0.0, 1.0)
+        share = np.clip((values[strip] - np.float32(low)) / np.float32(max(high - low, 1e-9)), 0.0, 1.0)
         there = np.isfinite(share)
         indexed[strip][there] = 1 + np.rint(share[there] * (SHADES - 1)).astype(np.uint8)
     colours = {i + 1: ramp_colour(stops, i / (SHADES - 1)) for i in range(SHADES)}
