@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import CellIndex, CellTable, Xyz, slot_of
+from ptd.cells import CellIndex, CellTable, Xyz, find_slot
 from ptd.frame import Cells
 from ptd.kernel import kernel, wide
 
@@ -18,20 +18,29 @@ Int64 = npt.NDArray[np.int64]
 
 @kernel
 def _beside(
-    ground: Xyz, places: tuple[Int64, Int64], objects: Xyz, table: CellTable, reach2: int, rise: int
+    ground: Xyz,
+    places: tuple[Int64, Int64],
+    objects: Xyz,
+    tops: Int32,
+    table: CellTable,
+    reach2: int,
+    rise: int,
 ) -> npt.NDArray[np.bool_]:
-    """Whether an object's point lies near each point of the ground and higher by ``rise``."""
+    """Whether an object's point lies near each point of the ground and higher by ``rise``.
+
+    Objects lie cell by cell; ``tops`` is the height of the highest of each cell.
+    """
     x, y, z = ground
     columns, rows = places
     ox, oy, oz = objects
+    slots, keys, starts, _order, width, height = table
     out = np.zeros(x.size, np.bool_)
     for i in range(x.size):
         for cell in range(9):
-            slot = slot_of(table, columns[i] + cell % 3 - 1, rows[i] + cell // 3 - 1)
-            if slot < 0:
+            slot = find_slot(slots, keys, width, height, columns[i] + cell % 3 - 1, rows[i] + cell // 3 - 1)
+            if slot < 0 or wide(tops[slot]) - z[i] < rise:
                 continue
-            for j in range(table.starts[slot], table.starts[slot + 1]):
-                k = table.order[j]
+            for k in range(starts[slot], starts[slot + 1]):
                 dx, dy = wide(ox[k]) - x[i], wide(oy[k]) - y[i]
                 if wide(oz[k]) - z[i] >= rise and dx * dx + dy * dy <= reach2:
                     out[i] = True
@@ -64,8 +73,9 @@ def beside_objects(
     if objects.shape[1] == 0 or ground.shape[1] == 0:
         return np.zeros(ground.shape[1], np.bool_)
     cells = Cells(reach.numerator, reach.denominator, *origin)
-    above = Xyz(*(np.ascontiguousarray(axis) for axis in objects))
+    index = CellIndex(np.ascontiguousarray(objects[0]), np.ascontiguousarray(objects[1]), cells)
+    above = Xyz(*(axis[index.table.order] for axis in objects))
     below = Xyz(*(np.ascontiguousarray(axis) for axis in ground))
-    index = CellIndex(above.x, above.y, cells)
+    tops = np.maximum.reduceat(above.z, index.table.starts[:-1])
     places = index.places(below.x, below.y)
-    return _beside(below, places, above, index.table, math.floor(reach * reach), rise)
+    return _beside(below, places, above, tops, index.table, math.floor(reach * reach), rise)

@@ -95,11 +95,29 @@ def ranked_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice, percen
         Of n sorted points the one with index ``(n - 1) * percent // 100`` is taken.
     """
     x, y, ix, iy = _in_cells(xyz, origin, lattice)
-    order = np.lexsort((y, x, xyz[2], ix, iy))
+    order = _sorted_in_cells(x, y, xyz[2].astype(np.int64), ix, iy)
     starts = _starts(ix[order], iy[order])
     counts = np.diff(starts, append=len(order))
     chosen: Index = order[starts + (counts - 1) * percent // 100]
     return chosen
+
+
+def _sorted_in_cells(x: Int64, y: Int64, z: Int64, ix: Int64, iy: Int64) -> Index:
+    """Indices of points sorted by cell, height, x and y, which is their order by (iy, ix, z, x, y)."""
+    if len(x) == 0:
+        return np.zeros(0, np.int64)
+    col, row, low = int(ix.min()), int(iy.min()), int(z.min())
+    columns, heights = int(ix.max()) - col + 1, int(z.max()) - low + 1
+    if (int(iy.max()) - row + 1) * columns * heights >= 1 << 63:
+        return np.lexsort((y, x, z, ix, iy))
+    # One sort by one number, several times as fast as five; those alike in it are sorted once more.
+    keys = ((iy - row) * columns + (ix - col)) * heights + (z - low)
+    order: Index = np.argsort(keys)
+    alike = np.diff(keys[order]) == 0
+    tied = np.flatnonzero(np.append(alike, False) | np.append(False, alike))
+    ties = order[tied]
+    order[tied] = ties[np.lexsort((y[ties], x[ties], keys[ties]))]
+    return order
 
 
 def _in_cells(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> tuple[Int64, Int64, Int64, Int64]:
