@@ -56,9 +56,12 @@ def command(
     config = read_config(settings)
     from tiler.apps.preview import make_preview
     from tiler.core.units import parse_length
+    from tiler.errors import ConfigError
 
     session = current_session()
     side = None if size is None else float(parse_length(size))
+    if side is not None and side <= 0:
+        raise ConfigError(f"--size {size}: must be above 0")
     with shown_progress() as listener:
         found = make_preview(inputs, out, config, listener, number=windows, side_m=side)
     if as_json:

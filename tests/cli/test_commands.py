@@ -244,6 +244,11 @@ def test_evaluate_refuses(
     assert message in capsys.readouterr().err
 
 
+def test_preview_refuses_windows_of_no_size(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["preview", "a.laz", "--size", "0"]) == 2
+    assert "--size 0: must be above 0" in capsys.readouterr().err
+
+
 def test_the_help_of_evaluate_names_the_classes_that_the_library_ignores() -> None:
     from cli.commands.evaluate import command
     from tiler.apps.evaluate import IGNORED
