@@ -259,5 +259,6 @@ class TinLabels(Model):
         else:
             labels, marked = label_points(self.tin, self._locator, xyz, self._in_doubt, self._rule)
         if self.low is not None:
-            labels[(labels != GROUND) & self.low.holds(*xyz)] = LOW_NOISE
+            others = np.flatnonzero(labels != GROUND)
+            labels[others[self.low.holds(*(axis[others] for axis in xyz))]] = LOW_NOISE
         return labels, marked

@@ -68,6 +68,12 @@ def _keep_distinct(vertices: Int32Array, n: int) -> int:
 
 
 @kernel
+def insertion_order(x: Int32Array, y: Int32Array) -> Int32Array:
+    """The order in which `build` inserts points: int32 [n]."""
+    return round_order(curve_order(x, y))
+
+
+@kernel
 def build(
     vertices: Int32Array,
     triangles: Int32Array,
@@ -75,6 +81,7 @@ def build(
     x: Int32Array,
     y: Int32Array,
     z: Int32Array,
+    order: Int32Array,
     stamp: int,
 ) -> None:
     """Triangulate all points at once.
@@ -86,11 +93,12 @@ def build(
     x, y, z : int32 [n]
         Positions in counts, in any order. Differences of x and of y have to stay below 2**26: not checked
         here.
+    order : int32 [n]
+        Indices of the points as they are inserted; `insertion_order` makes that fast.
     stamp : int
         Written to each triangle.
     """
     n = x.size
-    order = round_order(curve_order(x, y))
     for i in range(n):
         vertices[4 * i] = x[order[i]]
         vertices[4 * i + 1] = y[order[i]]

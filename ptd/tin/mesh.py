@@ -73,10 +73,13 @@ class Tin:
             over 2**26 counts or more in x or y.
         """
         px, py, pz = _points(x, y, z)
+        if px.size == 0:
+            return cls(max_vertices)
+        box = _refuse_wide(px, py)
+        order = bulk.insertion_order(px, py)  # first: the TIN's arrays can have the memory that sorting took
         tin = cls(max(px.size, max_vertices))
-        if px.size:
-            tin._box = _refuse_wide(px, py)
-            bulk.build(tin.vertex_array, tin.triangle_array, tin.counters, px, py, pz, stamp)
+        tin._box = box
+        bulk.build(tin.vertex_array, tin.triangle_array, tin.counters, px, py, pz, order, stamp)
         return tin
 
     @property

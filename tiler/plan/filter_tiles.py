@@ -28,8 +28,9 @@ from tiler.plan.sizes import SPARSE_TILE_M
 WIDEST_WINDOW = MAX_EXTENT // 2
 """Counts of a window's side with which a TIN is exact, however the method widens it."""
 
-NEAR_HALF = 0.05
-"""Share of the points by which the halves of a tile may differ from one half."""
+NEAR_HALF, EQUAL_HALF = 0.1, 0.05
+"""Share of the points by which the parts of a tile may differ from half: where it is divided as it is too large, and
+where as each worker is to have one, when the slowest decides how long all take."""
 
 Records = Mapping[Cell, Mapping[str, Any]]
 """Bucket -> what its assembly recorded: ``n`` points, ``n_candidates`` of them; ``n_elected``, once there are some."""
@@ -74,13 +75,13 @@ def _halved(
     halo = _halo(plan, step)
     across = plan.meta.bucket.hull(cells)
     wide = max(across.x1 - across.x0, across.y1 - across.y0) > plan.meta.frame.counts(Fraction(SPARSE_TILE_M))
-    if len(cells) > 1 and (
-        wanted > 1
-        or wide
+    large = (
+        wide
         or _too_wide(plan, cells, halo)
         or _bytes(plan, records, step, cells, halo) > plan.tile_memory_of(step)
-    ):
-        for half in _halves(records, cells):
+    )
+    if len(cells) > 1 and (large or wanted > 1):
+        for half in _halves(records, cells, NEAR_HALF if large else EQUAL_HALF):
             yield from _halved(plan, records, step, half, wanted // 2)
         return
     columns, rows = ([getattr(cell, axis) for cell in cells] for axis in ("ix", "iy"))
@@ -89,11 +90,11 @@ def _halved(
     yield Tile(name, tuple(sorted(cells)), halo, _widest(plan, records, step, cells, halo))
 
 
-def _halves(records: Records, cells: Sequence[Cell]) -> list[list[Cell]]:
+def _halves(records: Records, cells: Sequence[Cell], near: float) -> list[list[Cell]]:
     """Buckets on the two sides of a line across the longer side.
 
-    Of the lines that leave about half of the points on each side the one whose number is divided by two most often: a
-    delivery that grows has most of its tiles as they were. Else the one nearest to half.
+    Of the lines that leave half of the points on each side, more or less ``near`` of all, the one whose number is
+    divided by two most often: a delivery that grows has most of its tiles as they were. Else the one nearest to half.
     """
     spans = {axis: {getattr(cell, axis) for cell in cells} for axis in ("ix", "iy")}
     axis = max(spans, key=lambda name: max(spans[name]) - min(spans[name]))
@@ -104,8 +105,8 @@ def _halves(records: Records, cells: Sequence[Cell]) -> list[list[Cell]]:
     for before, line in pairwise(sorted(held)):
         below += held[before]
         off = abs(below / total - 0.5)
-        round_to = line & -line if off <= NEAR_HALF else 0
-        lines.append((off > NEAR_HALF, -round_to, off, line))
+        round_to = line & -line if off <= near else 0
+        lines.append((off > near, -round_to, off, line))
     cut = min(lines)[-1]
     return [[c for c in cells if (getattr(c, axis) < cut) == west] for west in (True, False)]
 

@@ -44,6 +44,16 @@ def test_as_many_as_workers_in_halves_of_about_half(plan: Plan) -> None:
         assert len({tile.name for tile in tiles}) == number
 
 
+@pytest.mark.parametrize(("memory", "lines"), [(8 << 30, {0, 7}), (2 << 28, {0, 4, 8})])
+def test_parts_for_workers_are_more_equal_than_those_for_memory(
+    plan: Plan, memory: int, lines: set[int]
+) -> None:
+    """Of 14 columns the line 8, divided by two most often, leaves 57 % of the points in the west."""
+    records, roofs = buckets(range(14), range(8)), plan.passes[4]
+    tiles = tiles_of(replace(plan, tile_workers=2, tile_memory=memory), records, roofs)
+    assert {tile.cells[0].ix for tile in tiles} == lines
+
+
 def test_windows_fit_the_memory_and_a_survey_that_grows_keeps_its_tiles(plan: Plan) -> None:
     records, roofs = buckets(range(64), range(64)), plan.passes[4]
     tiles = list(tiles_of(plan, records, roofs))
