@@ -17,7 +17,7 @@ from tiler.schedule import Outcome, Task
 from tiler.store import open_store
 
 KEPT_SHARE = 8
-"""Between tasks a worker keeps this part of its memory at most: freed arrays, for those of the next task."""
+"""Between tasks a worker keeps one in so many bytes of its memory at most: freed arrays, for those of the next task."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -4, -8  # of malloc.h
 _NO_GLIBC = (OSError, AttributeError, TypeError)
