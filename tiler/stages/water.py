@@ -11,6 +11,7 @@ from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.water import LAKE, Water, Waters, lengths_along
 from tiler.grid import FindWater, LevelWater, find_bodies, level_water
 from tiler.io.result_folder import WATER
+from tiler.plan.memory import BASE_BYTES
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
@@ -61,7 +62,7 @@ def find_waters(job: Job, g: Gridding) -> Waters:
 def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
     """The bodies that the data show, without levels."""
     config, frame = g.plan.config, g.plan.meta.frame
-    needed = CELL_BYTES * g.coarse.height * g.coarse.width
+    needed = BASE_BYTES + CELL_BYTES * g.coarse.height * g.coarse.width
     if needed > g.plan.memory:
         job.note(
             f"water is not looked for, which takes {needed / 2**20:,.0f} MiB here: give more --memory, or a file to "
