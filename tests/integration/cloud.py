@@ -145,7 +145,7 @@ class Cable(threading.Thread):
             target.shutdown(socket.SHUT_WR)
 
     def cut(self, for_good: bool = False) -> None:
-        if for_good:
+        if for_good and self._listening.fileno() >= 0:
             self._listening.shutdown(socket.SHUT_RDWR)
             self._listening.close()
         for end in self._ends:

@@ -11,7 +11,7 @@ import time
 import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,6 +20,7 @@ from typing import Any
 import dask
 import distributed
 from distributed import KilledWorker
+from distributed.client import ClosedClientError
 from distributed.comm.addressing import get_address_host_port
 
 from tiler.errors import ConfigError, ProcessingError
@@ -50,6 +51,9 @@ _QUIET = {
     "distributed.admin.system-monitor.interval": "10s",
 }
 """What Dask measures of the command's own process, and nobody looks at."""
+
+_CONNECTION = (OSError, TimeoutError, CancelledError, ClosedClientError, AttributeError, RuntimeError)
+"""What Dask's client raises where its connection to the scheduler broke; the last three when it gave up."""
 
 _dask: Any = distributed
 """Its functions have no types."""
@@ -87,13 +91,13 @@ class DaskExecutor:
         self._run = Run(uuid.uuid4().hex, limits or Limits())
         self._submissions = 0
         self._cluster: Any = None
+        self._address = address
         if address is None:
             with dask.config.set(_QUIET):
                 self._cluster = cluster_here(workers)
                 self._client: Any = _dask.Client(self._cluster, set_as_default=False)
             self.workers = self._room = workers
             return
-        self._address = address
         try:
             get_address_host_port(address)  # a client that finds this out is hard to get rid of
             self._client = _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
@@ -112,9 +116,8 @@ class DaskExecutor:
     def _look(self) -> None:
         """Look which workers the cluster has."""
         self._looked = time.monotonic()
-        try:
-            threads: dict[str, int] = self._client.nthreads()
-        except (OSError, TimeoutError, AttributeError):
+        threads = self._threads()
+        if threads is None:
             return  # a broken connection is told by the tasks
         self.workers = len(threads)
         self._room = max(sum(threads.values()) + WAITING_PER_WORKER * self.workers, 1)
@@ -124,12 +127,22 @@ class DaskExecutor:
                 for found in [pool.submit(self._judge_one, self._judge, worker) for worker in new]:
                     found.result()
 
+    def _threads(self) -> dict[str, int] | None:
+        """Threads of each worker that the scheduler knows; None where it cannot be asked."""
+        try:
+            return dict(self._client.nthreads())
+        except _CONNECTION:
+            return None
+
     def _judge_one(self, judge: Look, worker: str) -> None:
         try:
             judge(partial(self._ask, worker), worker)
             self._judged.add(worker)
-        except ConfigError:
-            if worker in self._client.nthreads():  # it did not go away meanwhile
+        except ConfigError as error:
+            in_use = self._submissions > 0
+            if in_use and isinstance(error.__cause__, _CONNECTION):
+                return  # nothing is known of the worker: the next look asks it again
+            if worker in (self._threads() or ()):  # it did not go away meanwhile
                 raise
 
     def on_each_worker(self, look: Look) -> None:
@@ -143,7 +156,11 @@ class DaskExecutor:
         if self._cluster is not None:
             return []
         found: dict[str, list[tuple[int, int]]] = defaultdict(list)
-        for name, memory, threads in self._client.run(machine_of).values():
+        try:
+            told = self._client.run(machine_of)
+        except _CONNECTION as error:
+            raise self._lost() from error
+        for name, memory, threads in told.values():
             found[name].append((memory, threads))
         return [
             Machine(name, max(m for m, _ in held), len(held), sum(threads for _, threads in held))
@@ -162,15 +179,12 @@ class DaskExecutor:
 
         def submit(task: Task, number: int) -> None:
             self._submissions += 1  # Dask would answer for a name that it knows
-            future = self._client.submit(
-                perform_in_child,
-                self._run,
-                perform,
-                store_url,
-                task,
-                pure=False,
-                key=f"{task.stage}/{task.key}/{self._submissions}",
-            )
+            name = f"{task.stage}/{task.key}/{self._submissions}"
+            arguments = (perform_in_child, self._run, perform, store_url, task)
+            try:
+                future = self._client.submit(*arguments, pure=False, key=name)
+            except ClosedClientError as error:
+                raise self._lost() from error
             running[future.key] = _Try(task, number)
             done.add(future)
 
@@ -202,7 +216,10 @@ class DaskExecutor:
         if error is not None:
             text = (str(error) or repr(error)).splitlines()[0]
             return Outcome(this.task, None, text, type(error).__name__, again=again)
-        outcome: Outcome = future.result()
+        try:
+            outcome: Outcome = future.result()
+        except _CONNECTION:  # it broke while the result was fetched: what a task raises is the `error` above
+            return replace(self._cut_off(this), again=again)
         if outcome.error_kind == WORKER_DIED:
             fate = f"its worker {outcome.error}"
             if not again:
@@ -215,12 +232,15 @@ class DaskExecutor:
         while self._client.status == "connecting":
             time.sleep(0.1)
         if self._client.status != "running":
-            raise ProcessingError(
-                f"--scheduler {self._address}: the connection broke and does not come back; see to the cluster, "
-                "the same command goes on"
-            )
+            raise self._lost()
         return Outcome(
             this.task, None, "the connection to the scheduler broke", "ConnectionError", again=True
+        )
+
+    def _lost(self) -> ProcessingError:
+        where = "the workers" if self._address is None else f"--scheduler {self._address}"
+        return ProcessingError(
+            f"{where}: the connection broke and does not come back; see to the cluster, the same command goes on"
         )
 
     def close(self) -> None:

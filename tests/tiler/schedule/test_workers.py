@@ -11,9 +11,11 @@ from typing import Any
 
 import psutil
 import pytest
+from distributed import LocalCluster
 
+from tests.integration.cloud import Cable
 from tests.tiler.schedule import calls
-from tiler.errors import ConfigError
+from tiler.errors import ConfigError, ProcessingError
 from tiler.schedule import TRIES, Executor, Limits, Outcome, SerialExecutor, Task
 from tiler.schedule.workers import DaskExecutor
 
@@ -157,3 +159,43 @@ def test_larger_tasks_may_take_longer() -> None:
 def test_an_address_that_cannot_be_one_is_refused_at_once(address: str) -> None:
     with pytest.raises(ConfigError, match="no Dask scheduler answers there"):
         DaskExecutor(2, address)
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[int]:
+    """Of a scheduler that has one worker."""
+    options = {"threads_per_worker": 1, "processes": False, "protocol": "tcp", "memory_limit": 0}
+    with LocalCluster(1, host="127.0.0.1", dashboard_address=None, **options) as cluster:
+        yield int(cluster.scheduler_address.rsplit(":", 1)[1])
+
+
+@pytest.mark.parametrize("for_good", [False, True])
+def test_the_connection_breaks_while_a_result_is_fetched(
+    for_good: bool, port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The task is done again over the next connection; where there is none, the run ends with one line."""
+    monkeypatch.setattr("tiler.schedule.workers.CONNECT_SECONDS", 3)
+    cable = Cable(port)
+    cable.start()
+    executor = DaskExecutor(1, cable.address)
+    fetch = executor._client._gather_remote
+
+    async def cut(*arguments: Any) -> Any:
+        executor._client._gather_remote = fetch
+        cable.cut(for_good)
+        return await fetch(*arguments)
+
+    executor._client._gather_remote = cut
+    try:
+        if for_good:
+            with pytest.raises(ProcessingError, match="the connection broke and does not come back"):
+                run(executor, others(2), tmp_path)
+            with pytest.raises(ProcessingError, match="the connection broke"):
+                executor.machines()
+            return
+        ends, again = run(executor, others(2), tmp_path)
+    finally:
+        executor.close()
+        cable.cut(for_good=True)
+    assert all(outcome.record for outcome in ends.values())
+    assert sum(again.values()) >= 1
