@@ -20,7 +20,6 @@ from typing import Any
 import dask
 import distributed
 from distributed import KilledWorker
-from distributed.client import ClosedClientError
 from distributed.comm.addressing import get_address_host_port
 
 from tiler.errors import ConfigError, ProcessingError
@@ -52,8 +51,8 @@ _QUIET = {
 }
 """What Dask measures of the command's own process, and nobody looks at."""
 
-_CONNECTION = (OSError, TimeoutError, CancelledError, ClosedClientError, AttributeError, RuntimeError)
-"""What Dask's client raises where its connection to the scheduler broke; the last three when it gave up."""
+_CONNECTION = (OSError, TimeoutError, CancelledError, AttributeError, RuntimeError)
+"""What Dask's client raises where its connection to the scheduler broke; the last two when it gave up."""
 
 _dask: Any = distributed
 """Its functions have no types."""
@@ -183,7 +182,9 @@ class DaskExecutor:
             arguments = (perform_in_child, self._run, perform, store_url, task)
             try:
                 future = self._client.submit(*arguments, pure=False, key=name)
-            except ClosedClientError as error:
+            except Exception as error:  # its class has changed between versions of Dask
+                if self._client.status in ("running", "connecting"):
+                    raise
                 raise self._lost() from error
             running[future.key] = _Try(task, number)
             done.add(future)
