@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
@@ -26,6 +27,8 @@ LARGEST_EXTENT_M = 60_000.0
 """In-circle tests are exact for differences below 2**26 counts."""
 HIGHEST_M = 2_000_000.0
 """Heights are int32 counts."""
+MOST_CELLS = 1 << 27
+"""Of a raster of the whole extent, which takes some 35 bytes a cell."""
 
 CLASS_NAMES = {1: "unclassified", 2: "ground", 7: "low noise"}
 
@@ -123,9 +126,10 @@ def classify(
     Raises
     ------
     ValueError
-        Not an [n, 3] array, values that are not finite, an extent above 60 km, an unknown method,
-        parameters of another, a kind that there is not, columns of another length, a column that the method
-        cannot do without, or a cloud that it cannot work on (`ptd.passes.MethodRefusal`).
+        Not an [n, 3] array, values that are not finite, an extent above 60 km (134 km2 of a matched cloud), heights
+        beyond 2000 km, an unknown method, parameters of another, a ``sigma`` that is not above 0, a kind that there is
+        not, columns of another length or with values that their type cannot hold, a column that the method cannot do
+        without, or a cloud that it cannot work on (`ptd.passes.MethodRefusal`).
 
     Examples
     --------
@@ -147,8 +151,10 @@ def classify(
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
     wanted = METHODS[method].params
     params = wanted() if params is None else params
-    if not isinstance(params, wanted):
+    if type(params) is not wanted:  # a method's parameters may derive from another's
         raise ValueError(f"params is {type(params).__name__}, method {method} takes {wanted.__name__}")
+    if sigma is not None and not 0 < sigma < math.inf:
+        raise ValueError(f"sigma {sigma}: must be metres above 0")
     counts, scale = _counts(points)
     columns = {
         "rgb": _column("rgb", rgb, len(points), 3, np.uint16),
@@ -175,6 +181,9 @@ def do_passes(
     for number, step in enumerate(params.passes):
         if not step.applies(state):
             continue
+        for other in params.passes[number:]:
+            if other.raster_cell_m and other.applies(state):
+                _refuse_raster(counts, other.raster_cell_m, scale)
         model = step.fit(_given(cloud.seen(step), step), window, window, scale, state)
         if step.elects:
             cloud.elect(model.elect(window), model if step.gives_labels else None)
@@ -183,6 +192,18 @@ def do_passes(
         stats[step.name] = model.stats
         state = step.reduce([model.partial()], state)
     return cloud.everything.known_labels(), state, stats
+
+
+def _refuse_raster(counts: Int32, cell_m: float, scale: Scale) -> None:
+    """Raise ValueError where the cells of a whole cloud's extent do not fit into memory: distant points, mostly."""
+    if counts.shape[1] == 0:
+        return
+    sides = [float((int(axis.max()) - int(axis.min())) * scale.metres_xy) for axis in counts[:2]]
+    if math.prod(side / cell_m + 1 for side in sides) > MOST_CELLS:
+        raise ValueError(
+            f"xyz extends over {sides[0]:.0f} x {sides[1]:.0f} m, too much for a raster of {cell_m:g} m cells, which "
+            "the method makes of a matched cloud; leave distant points out, or use tiles (`tiler run`)"
+        )
 
 
 @dataclass
@@ -241,7 +262,11 @@ def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: 
     found = np.asarray(values)
     if found.shape != (n, width):
         raise ValueError(f"{name} has shape {found.shape}, must be ({n}, {width}), a row for each point")
-    return np.ascontiguousarray(found.T, dtype)
+    with np.errstate(invalid="ignore"):  # NaN is refused below
+        column: npt.NDArray[Any] = np.ascontiguousarray(found.T, dtype)
+    if not np.array_equal(column, found.T):
+        raise ValueError(f"{name} must be whole numbers from 0 to {np.iinfo(dtype).max}")
+    return column
 
 
 def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Scale]:

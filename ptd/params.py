@@ -8,6 +8,9 @@ from typing import Any, TypeVar
 
 UNIT_SUFFIXES = ("_m", "_deg")
 
+DECIMALS = 6
+"""Of a length: cells are exact fractions of counts, and where a point lies among them must fit int64."""
+
 
 def parameter(
     default: float | int | bool,
@@ -48,6 +51,10 @@ def check(params: Any) -> None:
         if below or (high is not None and not value <= high):
             unit = f" {spec.metadata['unit']}" if spec.metadata["unit"] else ""
             raise ValueError(f"{spec.name} {value:g}: must be between {low:g} and {high:g}{unit}")
+        if spec.metadata["unit"] == "m" and round(value, DECIMALS) != value:
+            raise ValueError(
+                f"{spec.name} {value!r}: write at most {DECIMALS} decimals, as {round(value, DECIMALS):g}"
+            )
 
 
 def _is_of_kind(value: Any, default: Any) -> bool:

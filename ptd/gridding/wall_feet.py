@@ -72,7 +72,7 @@ def beside_objects(
     """
     if objects.shape[1] == 0 or ground.shape[1] == 0:
         return np.zeros(ground.shape[1], np.bool_)
-    cells = Cells(reach.numerator, reach.denominator, *origin)
+    cells = Cells(max(math.ceil(reach), 1), 1, *origin)
     index = CellIndex(np.ascontiguousarray(objects[0]), np.ascontiguousarray(objects[1]), cells)
     above = Xyz(*(axis[index.table.order] for axis in objects))
     below = Xyz(*(np.ascontiguousarray(axis) for axis in ground))

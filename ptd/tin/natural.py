@@ -28,9 +28,11 @@ _ERROR = 16.0 * 2.0**-53
 
 @kernel
 def _centre(bx: float, by: float, cx: float, cy: float) -> tuple[float, float]:
-    """Centre of the circle through the origin, b and c."""
+    """Centre of the circle through the origin, b and c; infinite where they lie on a line as far as floats tell."""
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     area = 2.0 * (bx * cy - by * cx)
+    if area == 0.0:
+        return math.inf, math.inf
     return (cy * b2 - by * c2) / area, (bx * c2 - cx * b2) / area
 
 

@@ -58,6 +58,11 @@ class Parameters:
     passes = (First(), Second())
 
 
+@dataclass(frozen=True)
+class Derived(Parameters):
+    """Of another method."""
+
+
 @pytest.fixture(autouse=True)
 def echo(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(METHODS, "echo", Method("echo", "two passes", Parameters, needs=("rgb",)))
@@ -77,6 +82,13 @@ def test_columns_and_labels_go_from_pass_to_pass() -> None:
         ({"rgb": RGB[1:]}, r"^rgb has shape \(49, 3\), must be \(50, 3\), a row for each point$"),
         ({"rgb": RGB, "returns": RGB}, r"^returns has shape \(50, 3\), must be \(50, 2\)"),
         ({"rgb": RGB, "params": 3}, "^params is int, method echo takes Parameters$"),
+        ({"rgb": RGB, "params": Derived()}, "^params is Derived, method echo takes Parameters$"),
+        ({"rgb": RGB / 2.5}, "^rgb must be whole numbers from 0 to 65535$"),
+        ({"rgb": RGB.astype(int) - 65_536}, "^rgb must be whole numbers from 0 to 65535$"),
+        ({"rgb": np.full(RGB.shape, np.nan)}, "^rgb must be whole numbers from 0 to 65535$"),
+        ({"rgb": RGB, "returns": RETURNS.astype(int) + 255}, "^returns must be whole numbers from 0 to 255$"),
+        ({"rgb": RGB, "sigma": 0.0}, r"^sigma 0\.0: must be metres above 0$"),
+        ({"rgb": RGB, "sigma": np.nan}, "^sigma nan: must be metres above 0$"),
     ],
 )
 def test_what_does_not_fit_is_refused(arguments: dict[str, Any], message: str) -> None:
@@ -108,3 +120,12 @@ def test_the_points_given_stay_as_they_were(order: Literal["C", "F"]) -> None:
     before = xyz.copy()
     ptd.classify(xyz, "classic")
     assert np.array_equal(xyz, before)
+
+
+def test_a_matched_cloud_whose_points_lie_far_apart_is_refused() -> None:
+    """A raster of its extent would need tens of gigabytes."""
+    near = np.random.default_rng(1).uniform(0, 20, (2000, 3)) * [1, 1, 0.01]
+    with pytest.raises(
+        ValueError, match=r"^xyz extends over 300\d\d x 300\d\d m, too much for a raster of 1 m"
+    ):
+        ptd.classify(np.concatenate([near, near + [30_000, 30_000, 0]]), kind="dim")

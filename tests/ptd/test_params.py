@@ -76,6 +76,7 @@ def test_texts_that_are_refused(texts: dict[str, str], message: str) -> None:
         ({"switch": 1}, "switch 1: must be true or false"),
         ({"length_m": "3"}, "length_m '3': must be a number"),
         ({"length_m": None}, "length_m None: must be a number"),
+        ({"length_m": 1.0936132983377}, "length_m 1.0936132983377: write at most 6 decimals, as 1.09361"),
     ],
 )
 def test_values_of_another_kind_are_refused(values: dict[str, object], message: str) -> None:
@@ -84,13 +85,18 @@ def test_values_of_another_kind_are_refused(values: dict[str, object], message: 
     assert str(error.value) == message
 
 
+BESIDE = {"first_spacing_m": {"last_spacing_m": 0.25}, "last_spacing_m": {"first_spacing_m": 50.0}}
+"""Values with which the limits of another parameter can be reached."""
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_each_limit_of_each_parameter_holds(method: str) -> None:
     params = METHODS[method].params
     for spec, (end, beyond) in itertools.product(fields(params), (("minimum", -1), ("maximum", 1))):
         limit, kind = spec.metadata[end], type(spec.default)
         if limit is not None:
-            assert getattr(params(**{spec.name: kind(limit)}), spec.name) == limit
+            other = {name: v for name, v in BESIDE.get(spec.name, {}).items() if hasattr(params, name)}
+            assert getattr(params(**{spec.name: kind(limit)}, **other), spec.name) == limit
             with pytest.raises(ValueError, match=rf"^{spec.name} .*: must be between "):
                 params(**{spec.name: kind(limit + beyond)})
 
@@ -103,6 +109,11 @@ def test_each_parameter_says_what_it_is_and_names_a_source_that_people_can_find(
         unit = spec.metadata["unit"]
         assert (unit == "m") == spec.name.endswith("_m")
         assert (unit == "deg") == spec.name.endswith("_deg")
+
+
+def test_spacings_that_grow_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"^last_spacing_m 8: use at most first_spacing_m, 4 m$"):
+        METHODS["dong2017"].params(last_spacing_m=8.0)
 
 
 def test_methods_by_name() -> None:

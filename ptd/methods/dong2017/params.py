@@ -64,6 +64,10 @@ class Dong2017Parameters:
 
     def __post_init__(self) -> None:
         check(self)
+        if self.last_spacing_m > self.first_spacing_m:
+            raise ValueError(
+                f"last_spacing_m {self.last_spacing_m:g}: use at most first_spacing_m, {self.first_spacing_m:g} m"
+            )
 
     @property
     def spacings_m(self) -> tuple[float, ...]:

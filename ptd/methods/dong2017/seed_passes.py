@@ -150,9 +150,11 @@ class SeedModel(Model):
         """Vegetation, seeds, the rest."""
         x, y, _ = points.columns()
         labels = np.full(x.size, UNCLASSIFIED, np.uint8)
-        at = np.flatnonzero(np.isin(positions(x, y), positions(*self._seeds[:2])))
-        same = points.xyz[:, at, None] == self._seeds[:, None, :]
-        labels[at[same.all(axis=0).any(axis=1)]] = GROUND
+        places = positions(*self._seeds[:2])  # one seed in each: there is one a cell
+        order = np.argsort(places)
+        at = np.flatnonzero(np.isin(positions(x, y), places))
+        seed = order[np.searchsorted(places, positions(x[at], y[at]), sorter=order)]
+        labels[at[points.xyz[2, at] == self._seeds[2, seed]]] = GROUND
         labels[_green(points, self.green)] = VEGETATION
         return labels, np.zeros(len(points), np.bool_)
 

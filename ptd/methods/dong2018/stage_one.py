@@ -18,6 +18,7 @@ from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, TinLabels
 from ptd.methods.classic import ClassicPass, thinned
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.params import Dong2018Parameters
+from ptd.params import DECIMALS
 from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
 
 SPARSE_M2 = 1.0
@@ -60,7 +61,7 @@ class NoisePass(Pass):
             "dense": False,
         }
         density = f"{found.density_m2:.3g} points/m2"
-        least = self.params.threshold_m2(sigma or roughness.LARGEST_SIGMA_M)
+        least = self.params.threshold_m2(roughness.LARGEST_SIGMA_M if sigma is None else sigma)
         if found.density_m2 < SPARSE_M2 or (sigma is None and found.density_m2 <= least):
             return with_notes(
                 state, figures, f"{density}: too sparse for noise to matter, so the result is classic's"
@@ -132,7 +133,7 @@ class StageOneModel(TinLabels):
         low = self._pits.holds(x, y, z)
         cell = float(state["thin_cell_m"])
         x, y, z = thinned((x[~low], y[~low], z[~low]), cell, scale)
-        edge = even_edge_m(state["threshold_m2"])
+        edge = round(even_edge_m(state["threshold_m2"]), DECIMALS)
         limits = replace(params, edge_length_stop_m=max(params.edge_length_stop_m, edge)).limits(scale)
         cells = Cells.of(cell, scale)
         known = window.inside(Cells.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)

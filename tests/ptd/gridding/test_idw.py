@@ -60,7 +60,7 @@ def test_ground_beside_objects_by_definition() -> None:
     ground, objects = (
         rng.integers((-900, -900, 0), (900, 900, 400), (n, 3)).T.astype(np.int32) for n in (500, 40)
     )
-    for reach in (Fraction(90), Fraction(1000, 7)):
+    for reach in (Fraction(90), Fraction(1000, 7), Fraction("0.3333333333333333") * 1000):
         found = beside_objects(ground, objects, reach, 150, (-77, 12_345))
         d2 = ((ground[:2, :, None].astype(int) - objects[:2, None]) ** 2).sum(axis=0)
         truth = ((d2 <= reach**2) & (objects[2, None] - ground[2, :, None] >= 150)).any(axis=1)

@@ -207,6 +207,16 @@ def test_natural_neighbours_by_counting_cells() -> None:
             assert heights[row, column] == pytest.approx(table[owner[taken], 2].mean(), abs=12)
 
 
+def test_natural_neighbours_of_a_sliver_that_floats_take_for_a_line() -> None:
+    """A vertex 50 km away, on a diagonal but for one count: the plane of the facet holds."""
+    far = 50_000_000
+    x, y = np.array([0, 2, 0, far], np.int32), np.array([0, 2, 10, far - 1], np.int32)
+    tin = Tin.build(x, y, np.full(4, 10, np.int32))
+    heights, _ = rasterise(tin, Pixels(1, 1, 0, 0, 2, 2), interpolator="natural")
+    assert heights[np.isfinite(heights)].tolist() == [10.0] * int(np.isfinite(heights).sum())
+    assert np.isfinite(heights).any()
+
+
 def test_natural_neighbours_on_a_regular_grid_are_symmetric() -> None:
     x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 100, 10), np.arange(0, 100, 10)))
     z = np.where((x == 40) & (y == 40), 400, 0)
