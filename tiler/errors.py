@@ -74,6 +74,10 @@ class ProcessingError(TilerError):
     again = True
 
 
+class ConnectionLostError(ProcessingError):
+    """The connection to the scheduler of a cluster broke."""
+
+
 class DiskFullError(ProcessingError):
     """No space or quota is left: every other task would fail as well, so the run ends."""
 

@@ -124,7 +124,9 @@ def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_p
     cable.cut(for_good=True)
     _, error = process.communicate(timeout=TIMEOUT_SECONDS)
     assert process.returncode == 4, error
-    assert_one_line(error.splitlines()[-1], "the connection broke and does not come back")
+    tiles, *rest = error.splitlines(keepends=True)
+    assert tiles.startswith("warning: tiles of 64 m")
+    assert_one_line("".join(rest), "the connection broke and does not come back")
     do(cloud, gone)
     assert output_digests(gone) == output_digests(local)
 

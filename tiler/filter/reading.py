@@ -61,6 +61,7 @@ class TileReader:
         Points that can become vertices: the store's candidates where the method's cells are made of whole fine cells.
         """
         places: dict[Cell, slice] = {}
+        self._window = None  # its memory is needed
         if self._step.elected:
             block = self._elected(bounds)
         else:

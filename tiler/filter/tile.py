@@ -76,6 +76,7 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
         if (marked == 0 and model.uncertain() == 0) or halo >= work.max_halo:
             break
         halo = min(2 * halo, work.max_halo)
+        del points, model  # before the wider window is read, which is what the memory was reckoned for
     if inherited:  # what a doubtful label of the pass before may have changed
         labels = {cell: found | (found > 0) * np.uint8(MARK_BIT) for cell, found in labels.items()}
         marked = sum(int(np.count_nonzero(found)) for found in labels.values())

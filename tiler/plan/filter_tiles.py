@@ -93,8 +93,9 @@ def _halved(
 def _halves(records: Records, cells: Sequence[Cell], near: float) -> list[list[Cell]]:
     """Buckets on the two sides of a line across the longer side.
 
-    Of the lines that leave half of the points on each side, more or less ``near`` of all, the one whose number is
-    divided by two most often: a delivery that grows has most of its tiles as they were. Else the one nearest to half.
+    Of the lines that leave half of the points on each side, more or less ``near`` of all, the one with the roundest
+    number (that is divisible by the highest power of two), so that a survey that grows keeps most of its tiles. Where
+    there is none, the line nearest to half.
     """
     spans = {axis: {getattr(cell, axis) for cell in cells} for axis in ("ix", "iy")}
     axis = max(spans, key=lambda name: max(spans[name]) - min(spans[name]))

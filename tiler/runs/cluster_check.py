@@ -5,12 +5,11 @@ from __future__ import annotations
 import platform
 import uuid
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import CancelledError
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tiler.errors import ConfigError, TilerError, refused_write
+from tiler.errors import ConfigError, ConnectionLostError, TilerError, refused_write
 from tiler.io.locations import State, cloud_path, is_url, joined, state_of, try_write
 from tiler.schedule import Machine
 from tiler.store import open_store
@@ -136,7 +135,9 @@ class Access:
     ) -> Any:
         try:
             return ask(function, *arguments)
-        except (Exception, CancelledError) as error:
+        except ConnectionLostError:
+            raise
+        except Exception as error:
             text = (
                 f"cannot do as tiler {__version__} asks ({type(error).__name__}: {error}); install it there, "
             )

@@ -68,6 +68,7 @@ class Compiler:
     def __init__(self, listener: Listener, apart: bool) -> None:
         self._listener, self._apart = listener, apart
         self._begun: dict[str, tuple[threading.Event, Guard]] = {}
+        self._errors: dict[str, str] = {}
 
     def begin(self, plan: Plan, until: str) -> None:
         """Begin with all that a run will probably need, each in a process of its own."""
@@ -106,7 +107,10 @@ class Compiler:
             told = max(told, new)
         self._listener("stage_finished", {"stage": STAGE, "seconds": round(time.monotonic() - started, 3)})
         if not is_compiled(kernels.name):
-            text = f"kernels ({kernels.name}) could not be compiled ahead: each process compiles for itself"
+            why = f" ({self._errors[kernels.name]})" if kernels.name in self._errors else ""
+            text = (
+                f"kernels ({kernels.name}) could not be compiled ahead{why}: each process compiles for itself"
+            )
             self._listener("warning", {"text": text})
 
     def close(self) -> None:
@@ -122,8 +126,10 @@ class Compiler:
         def work() -> None:
             try:
                 guard.call(kernels.compile, silent, seconds=SECONDS)
-            except Died:
-                pass  # what is not compiled then is told
+            except Died as died:
+                self._errors[kernels.name] = f"the process {died}"
+            except Exception as error:  # noqa: BLE001 - of a thread nobody sees: `finish` tells it
+                self._errors[kernels.name] = f"{type(error).__name__}: {error}"
             finally:
                 guard.close()
                 ended.set()

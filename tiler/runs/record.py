@@ -92,6 +92,10 @@ class RunRecord:
     tiles: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
     facts: Facts = field(default_factory=Facts)
 
+    def first_error(self, stage: str) -> str:
+        """Of the task of a stage that was given up first."""
+        return next(str(failure["error"]) for failure in self.failed if failure["stage"] == stage)
+
     def list_tiles(self, stage: str, tasks: Iterable[tuple[Task, list[float] | None]], done: Commits) -> None:
         """Tiles of a stage before it begins, each with its bounds."""
         self.tiles[stage] = {task.key: _tile(task, bounds, done) for task, bounds in tasks}

@@ -95,7 +95,7 @@ def _outcomes(job: Job, executor: Executor, tasks: list[Task], join: Join | None
     alone: list[Task] = []
     for outcome in executor.run(perform, job.store.url, join(tasks, executor.workers) if join else tasks):
         if outcome.task.parts and outcome.record is None:
-            alone += outcome.task.parts
+            alone += () if outcome.again else outcome.task.parts
             outcome = replace(outcome, task=outcome.task.parts[0], again=True)
         yield from outcome.of_parts()
     if alone:

@@ -77,7 +77,7 @@ def load_kernels() -> None:
 
 
 def prepare(memory_bytes: int) -> None:
-    """What each worker would do by itself, and how much freed memory it may keep.
+    """Before workers are forked: load what each would load by itself, and say how much freed memory it may keep.
 
     Parameters
     ----------

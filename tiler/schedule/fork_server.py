@@ -48,6 +48,9 @@ _SET_BY_LIBRARIES = "_CURL_CA_BUNDLE"
 _SIZE, _CODE = 8, 8
 """Bytes of the length of a request, and of an exit code."""
 
+NOT_STARTED = 1 << 16
+"""Instead of the exit code of a child for which the system had no process or no memory left."""
+
 _GARBAGE_OBJECTS = 100_000
 """Imports make few objects that are garbage: looking for it after each 700 is a tenth of their time."""
 
@@ -266,7 +269,11 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
                 (memory_bytes, call, prepare), files = request
                 _import(call, prepare)
                 calls, answers, line = files[0], files[1], socket.socket(fileno=files[2])
-                pid = os.fork()
+                try:
+                    pid = os.fork()
+                except OSError:
+                    _refuse(calls, answers, line)
+                    continue
                 if pid == 0:
                     selector.close()
                     for other in (door, ended, wake, line, *lines):
@@ -279,13 +286,25 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
                 selector.register(line, selectors.EVENT_READ)
         for line, pid in list(lines.items()):
             if (status := os.waitpid(pid, os.WNOHANG))[0]:
-                with suppress(OSError):  # nobody waits for it
-                    line.send(os.waitstatus_to_exitcode(status[1]).to_bytes(_CODE, "little", signed=True))
+                _tell(line, os.waitstatus_to_exitcode(status[1]))
                 with suppress(KeyError):  # it was killed
                     selector.unregister(line)
                 line.close()
                 del lines[line]
     os._exit(0)
+
+
+def _refuse(calls: int, answers: int, line: socket.socket) -> None:
+    """Tell who asked for a child that there is none."""
+    os.close(calls)
+    os.close(answers)
+    _tell(line, NOT_STARTED)
+    line.close()
+
+
+def _tell(line: socket.socket, code: int) -> None:
+    with suppress(OSError):  # nobody waits for it
+        line.send(code.to_bytes(_CODE, "little", signed=True))
 
 
 def _request(door: socket.socket) -> tuple[Any, list[int]] | None:

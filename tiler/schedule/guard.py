@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import IO, Any, TypeAlias, TypeVar
 
 from tiler.errors import ConfigError, TilerError
-from tiler.schedule.fork_server import FORKS, ForkedChild, child_environment, fork_child
+from tiler.schedule.fork_server import FORKS, NOT_STARTED, ForkedChild, child_environment, fork_child
 
 try:
     import resource
@@ -196,6 +196,8 @@ def _fate(code: int, late: bool, seconds: float) -> str:
     """What the exit code of a child says of its end, worded to follow its name."""
     if (hasattr(signal, "SIGALRM") and code == -signal.SIGALRM) or (code == 1 and late):
         return f"did not end within {seconds:g} s"
+    if code == NOT_STARTED:
+        return "could not start: the system has no memory left, or allows no more processes"
     if code < 0 and signal.Signals(-code).name == "SIGKILL":
         return "was killed (SIGKILL), as a system does that runs out of memory"
     if code < 0:

@@ -22,7 +22,7 @@ import distributed
 from distributed import KilledWorker
 from distributed.comm.addressing import get_address_host_port
 
-from tiler.errors import ConfigError, ProcessingError
+from tiler.errors import ConfigError, ConnectionLostError
 from tiler.schedule.children import (
     WORKER_DIED,
     Run,
@@ -51,8 +51,11 @@ _QUIET = {
 }
 """What Dask measures of the command's own process, and nobody looks at."""
 
-_CONNECTION = (OSError, TimeoutError, CancelledError, AttributeError, RuntimeError)
+_BROKEN = (OSError, CancelledError, AttributeError, RuntimeError)
 """What Dask's client raises where its connection to the scheduler broke; the last two when it gave up."""
+
+_LOGGERS = ("distributed", "distributed.client")
+"""Those with levels of their own; what they say of a broken connection is told in one line of ours."""
 
 _dask: Any = distributed
 """Its functions have no types."""
@@ -84,9 +87,9 @@ class DaskExecutor:
     """
 
     def __init__(self, workers: int, address: str | None = None, limits: Limits | None = None) -> None:
-        self._log = logging.getLogger("distributed")
-        self._log_level = self._log.level
-        self._log.setLevel(logging.CRITICAL)  # until `close`: what matters is told by the tasks
+        self._log_levels = {name: logging.getLogger(name).level for name in _LOGGERS}
+        for name in _LOGGERS:  # until `close`: what matters is told by the tasks
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         self._run = Run(uuid.uuid4().hex, limits or Limits())
         self._submissions = 0
         self._cluster: Any = None
@@ -100,7 +103,7 @@ class DaskExecutor:
         try:
             get_address_host_port(address)  # a client that finds this out is hard to get rid of
             self._client = _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
+        except (OSError, ValueError) as error:
             raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
         self._judged: set[str] = set()
         self._judge: Look | None = None
@@ -108,9 +111,7 @@ class DaskExecutor:
         self._look()
         if self.workers == 0:
             self.close()
-            raise ConfigError(
-                f"--scheduler {address}: it has no workers; start some with `dask worker {address}`"
-            )
+            raise self._without_workers()
 
     def _look(self) -> None:
         """Look which workers the cluster has."""
@@ -130,17 +131,18 @@ class DaskExecutor:
         """Threads of each worker that the scheduler knows; None where it cannot be asked."""
         try:
             return dict(self._client.nthreads())
-        except _CONNECTION:
+        except _BROKEN:
             return None
 
     def _judge_one(self, judge: Look, worker: str) -> None:
         try:
             judge(partial(self._ask, worker), worker)
             self._judged.add(worker)
-        except ConfigError as error:
-            in_use = self._submissions > 0
-            if in_use and isinstance(error.__cause__, _CONNECTION):
-                return  # nothing is known of the worker: the next look asks it again
+        except ConnectionLostError:
+            if self._submissions == 0:
+                raise
+            # Else tasks tell it, or the connection is there again, and the next look asks the worker.
+        except ConfigError:
             if worker in (self._threads() or ()):  # it did not go away meanwhile
                 raise
 
@@ -155,12 +157,12 @@ class DaskExecutor:
         if self._cluster is not None:
             return []
         found: dict[str, list[tuple[int, int]]] = defaultdict(list)
-        try:
-            told = self._client.run(machine_of)
-        except _CONNECTION as error:
-            raise self._lost() from error
-        for name, memory, threads in told.values():
-            found[name].append((memory, threads))
+        for answer in self._told(machine_of).values():
+            if not isinstance(answer, BaseException):  # a worker that goes away just now
+                name, memory, threads = answer
+                found[name].append((memory, threads))
+        if not found:
+            raise self._without_workers()
         return [
             Machine(name, max(m for m, _ in held), len(held), sum(threads for _, threads in held))
             for name, held in sorted(found.items())
@@ -168,7 +170,17 @@ class DaskExecutor:
 
     def _ask(self, worker: str, function: Callable[..., Any], *arguments: Any) -> Any:
         """What a function gives in a child of one worker."""
-        return self._client.run(call_in_child, self._run, function, *arguments, workers=[worker])[worker]
+        (answer,) = self._told(call_in_child, self._run, function, *arguments, workers=[worker]).values()
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    def _told(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> dict[str, Any]:
+        """What a function gives on each worker, or raises there."""
+        try:
+            return dict(self._client.run(function, *arguments, on_error="return", **options))
+        except _BROKEN as error:
+            raise self._lost() from error
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Outcomes as they come, one a try; `Outcome.again` tells that another one follows."""
@@ -219,8 +231,9 @@ class DaskExecutor:
             return Outcome(this.task, None, text, type(error).__name__, again=again)
         try:
             outcome: Outcome = future.result()
-        except _CONNECTION:  # it broke while the result was fetched: what a task raises is the `error` above
-            return replace(self._cut_off(this), again=again)
+        except _BROKEN as broken:  # what a task raises is the `error` above
+            text = f"its result could not be fetched ({type(broken).__name__}: {broken})"
+            return replace(self._cut_off(this), error=text, again=again)
         if outcome.error_kind == WORKER_DIED:
             fate = f"its worker {outcome.error}"
             if not again:
@@ -238,20 +251,28 @@ class DaskExecutor:
             this.task, None, "the connection to the scheduler broke", "ConnectionError", again=True
         )
 
-    def _lost(self) -> ProcessingError:
-        where = "the workers" if self._address is None else f"--scheduler {self._address}"
-        return ProcessingError(
-            f"{where}: the connection broke and does not come back; see to the cluster, the same command goes on"
+    def _lost(self) -> ConnectionLostError:
+        text = "the connection broke and does not come back"
+        if self._address is None:
+            return ConnectionLostError(f"the workers of this machine: {text}; the same command goes on")
+        return ConnectionLostError(
+            f"--scheduler {self._address}: {text}; see to the cluster, the same command goes on"
+        )
+
+    def _without_workers(self) -> ConfigError:
+        return ConfigError(
+            f"--scheduler {self._address}: it has no workers; start some with `dask worker {self._address}`"
         )
 
     def close(self) -> None:
         """End what works for this executor, whatever it does; a cluster goes on."""
         if self._client.status == "running":  # else the connection is what ended the run
-            with suppress(OSError, TimeoutError):
+            with suppress(*_BROKEN):
                 ending = self._client._run, end_children, self._run.token
                 self._client.sync(*ending, callback_timeout=CLOSE_SECONDS)
-        with suppress(OSError, TimeoutError):
+        with suppress(*_BROKEN):
             self._client.close(timeout=CLOSE_SECONDS)
         if self._cluster is not None:
             self._cluster.close(timeout=CLOSE_SECONDS)
-        self._log.setLevel(self._log_level)
+        for name, level in self._log_levels.items():
+            logging.getLogger(name).setLevel(level)

@@ -53,7 +53,9 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
         kind = state["survey"]["kind"] if "survey" in state else likely_kind(job.plan)
         filtered = run_stage(job, f"filter{number}", tasks, filter_kernels(config.method, kind))
         if not filtered:
-            raise ProcessingError(f"no tile could be filtered; the first: {job.record.failed[0]['error']}")
+            raise ProcessingError(
+                f"no tile could be filtered; the first: {job.record.first_error(f'filter{number}')}"
+            )
         if step.elects or step.gives_labels:
             is_last, few = labels_given(job.plan, number, state)
             for task in tasks:

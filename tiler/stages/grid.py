@@ -107,7 +107,7 @@ def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task], join: J
     job.store.put_state(f"raster-{name}", spec.to_json())
     made = run_stage(job, stage, tasks, grid_kernels(job.plan.config.interpolation), join=join)
     if tasks and not made:
-        raise ProcessingError(f"no block of {name} could be made; the first: {job.record.failed[0]['error']}")
+        raise ProcessingError(f"no block of {name} could be made; the first: {job.record.first_error(stage)}")
     return made
 
 

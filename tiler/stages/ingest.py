@@ -149,7 +149,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
     commits = run_stage(job, "assemble", tasks)
     assembled = Assembled.of(commits)
     if not commits:
-        raise ProcessingError(f"no bucket could be written; the first: {job.record.failed[0]['error']}")
+        raise ProcessingError(f"no bucket could be written; the first: {job.record.first_error('assemble')}")
     area = job.plan.area
     if area is not None and area.bounds.intersection(assembled.bounds).empty:
         raise InputError("no point of the clouds lies in the area, though some lie near it; name another")

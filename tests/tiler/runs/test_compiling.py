@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import os
 import signal
@@ -27,6 +28,10 @@ def crash(tell: Callable[[], None]) -> None:
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
+def fill_disk(tell: Callable[[], None]) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 @pytest.fixture
 def told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[str, dict[str, Any]]]:
     """Events; that kernels are compiled is said by files in a folder of the test."""
@@ -49,12 +54,21 @@ def test_a_run_waits_for_its_kernels(told: list[tuple[str, dict[str, Any]]], tmp
     assert [event for event, _ in told] == ["stage_started", "stage_finished"]
 
 
-def test_a_compiler_that_crashes_is_told_of(told: list[tuple[str, dict[str, Any]]], tmp_path: Path) -> None:
-    at_work = compiler(told)
-    at_work.finish(Kernels(str(tmp_path / "never"), crash, 1))
+@pytest.mark.parametrize(
+    ("work", "why"),
+    [(crash, "the process crashed (SIGSEGV)"), (fill_disk, "OSError: [Errno 28] No space left on device")],
+)
+def test_a_compiler_that_fails_is_told_of(
+    work: Callable[[Callable[[], None]], None],
+    why: str,
+    told: list[tuple[str, dict[str, Any]]],
+    tmp_path: Path,
+) -> None:
+    at_work, name = compiler(told), str(tmp_path / "never")
+    at_work.finish(Kernels(name, work, 1))
     at_work.close()
-    assert told[-1][0] == "warning"
-    assert "each process compiles for itself" in told[-1][1]["text"]
+    text = f"kernels ({name}) could not be compiled ahead ({why}): each process compiles for itself"
+    assert told[-1] == ("warning", {"text": text})
 
 
 def test_what_a_cloud_probably_is(make_cloud: MakeCloud) -> None:

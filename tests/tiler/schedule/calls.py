@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import signal
 import time
@@ -26,6 +27,10 @@ def pid() -> int:
 
 def fail(text: str) -> NoReturn:
     raise InputError(text)
+
+
+def fail_with(error: Exception) -> NoReturn:
+    raise error
 
 
 def crash() -> None:
@@ -114,6 +119,21 @@ _prepared: list[int] = []
 def prepare() -> None:
     """Remember which process did this."""
     _prepared.append(os.getpid())
+
+
+def refuse_forks() -> None:
+    """As a system that has no process left: those that follow one fork of this process fail."""
+    forked = os.fork
+    found = []
+
+    def fork() -> int:
+        if found:
+            raise OSError(errno.EAGAIN, "no process is left")
+        found.append(forked())
+        return found[0]
+
+    if os.fork.__module__ == "posix":  # not yet
+        os.fork = fork
 
 
 def prepared() -> str:

@@ -12,6 +12,7 @@ import pytest
 from tests.tiler.schedule import calls
 from tiler.errors import InputError
 from tiler.schedule import Died, Guard, kept_forking, prepare_children
+from tiler.schedule.fork_server import FORKS
 
 SECONDS = 300.0
 
@@ -116,3 +117,14 @@ def call_on(guard: Guard) -> None:
     """Call until it fails: a child may answer once more before it is gone."""
     while True:
         guard.call(calls.pid, seconds=SECONDS)
+
+
+@pytest.mark.skipif(not FORKS, reason="children are not forked here")
+def test_a_child_that_cannot_be_forked_costs_itself_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("A_SERVER", "of its own")
+    first, second = (Guard(prepare=calls.refuse_forks) for _ in range(2))
+    with first, second:
+        child = first.call(calls.pid, seconds=SECONDS)
+        with pytest.raises(Died, match="^could not start: the system has no memory left"):
+            second.call(calls.pid, seconds=SECONDS)
+        assert first.call(calls.pid, seconds=SECONDS) == child

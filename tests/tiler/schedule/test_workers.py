@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from distributed import LocalCluster
 
 from tests.integration.cloud import Cable
 from tests.tiler.schedule import calls
-from tiler.errors import ConfigError, ProcessingError
+from tiler.errors import ConfigError, ConnectionLostError
 from tiler.schedule import TRIES, Executor, Limits, Outcome, SerialExecutor, Task
 from tiler.schedule.workers import DaskExecutor
 
@@ -165,16 +165,21 @@ def test_an_address_that_cannot_be_one_is_refused_at_once(address: str) -> None:
 def port() -> Iterator[int]:
     """Of a scheduler that has one worker."""
     options = {"threads_per_worker": 1, "processes": False, "protocol": "tcp", "memory_limit": 0}
-    with LocalCluster(1, host="127.0.0.1", dashboard_address=None, **options) as cluster:
+    with LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address=None, **options) as cluster:
         yield int(cluster.scheduler_address.rsplit(":", 1)[1])
 
 
 @pytest.mark.parametrize("for_good", [False, True])
 def test_the_connection_breaks_while_a_result_is_fetched(
-    for_good: bool, port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    for_good: bool,
+    port: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """The task is done again over the next connection; where there is none, the run ends with one line."""
-    monkeypatch.setattr("tiler.schedule.workers.CONNECT_SECONDS", 3)
+    if for_good:
+        monkeypatch.setattr("tiler.schedule.workers.CONNECT_SECONDS", 3)
     cable = Cable(port)
     cable.start()
     executor = DaskExecutor(1, cable.address)
@@ -188,10 +193,11 @@ def test_the_connection_breaks_while_a_result_is_fetched(
     executor._client._gather_remote = cut
     try:
         if for_good:
-            with pytest.raises(ProcessingError, match="the connection broke and does not come back"):
+            with pytest.raises(ConnectionLostError, match="the connection broke and does not come back"):
                 run(executor, others(2), tmp_path)
-            with pytest.raises(ProcessingError, match="the connection broke"):
+            with pytest.raises(ConnectionLostError):
                 executor.machines()
+            assert not [r for r in caplog.records if r.name == "distributed.client"], "said by Dask as well"
             return
         ends, again = run(executor, others(2), tmp_path)
     finally:
@@ -199,3 +205,24 @@ def test_the_connection_breaks_while_a_result_is_fetched(
         cable.cut(for_good=True)
     assert all(outcome.record for outcome in ends.values())
     assert sum(again.values()) >= 1
+
+
+@pytest.mark.parametrize("error", [OSError("no"), AttributeError("no"), RuntimeError("no")])
+def test_a_worker_that_is_unfit_is_refused_whenever_it_joins(
+    error: Exception, port: int, tmp_path: Path
+) -> None:
+    """What fails there is its answer, and no broken connection."""
+    executor = DaskExecutor(1, f"tcp://127.0.0.1:{port}")
+    try:
+        run(executor, others(1), tmp_path)
+
+        def look(ask: Callable[..., Any], worker: str) -> None:
+            try:
+                ask(calls.fail_with, error)
+            except type(error) as answer:
+                raise ConfigError(f"{worker} is unfit") from answer
+
+        with pytest.raises(ConfigError, match="is unfit"):
+            executor.on_each_worker(look)
+    finally:
+        executor.close()
