@@ -22,6 +22,7 @@ from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import surface_points
+from tiler.grid.reach import within
 from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
@@ -146,8 +147,8 @@ def survey_of(occupied: Bools, gap: float) -> npt.NDArray[np.uint8]:
     pad = int(np.ceil(radius)) + 1
     closed = np.pad(occupied, pad)
     if closed.any():
-        grown = scipy.ndimage.distance_transform_edt(~closed) <= radius
-        closed |= scipy.ndimage.distance_transform_edt(grown) > radius
+        grown = within(closed, radius)
+        closed |= ~within(~grown, radius)
     whole = scipy.ndimage.binary_fill_holes(closed)
     inner = scipy.ndimage.binary_erosion(whole, np.ones((3, 3), np.bool_))
     values = np.select([inner & ~closed, inner, whole], [VOID, SURVEYED, BORDER], BEYOND)

@@ -17,6 +17,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from tiler.grid.reach import within
+
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 
@@ -212,8 +214,7 @@ def under_bridges(cells: Cells, water: Bools) -> Bools:
     pad = math.ceil(BRIDGE_M / cells.size)
     padded = np.pad(water, pad)
     radius = BRIDGE_M / 2 / cells.size
-    grown = scipy.ndimage.distance_transform_edt(~padded) <= radius
-    closed = (scipy.ndimage.distance_transform_edt(grown) > radius)[pad:-pad, pad:-pad]
+    closed = ~within(~within(padded, radius), radius)[pad:-pad, pad:-pad]
     shore = scipy.ndimage.binary_dilation(water, np.ones((3, 3), np.bool_)) & ~np.isnan(cells.ground)
     around = 2 * pad + 1
     low = scipy.ndimage.minimum_filter(np.where(shore, cells.ground, np.inf), around)
@@ -223,11 +224,9 @@ def under_bridges(cells: Cells, water: Bools) -> Bools:
 
 def without_narrows(water: Bools, width: float) -> Bools:
     """Water without what is narrower than a width in cells; what is left keeps its shore."""
-    inner = scipy.ndimage.distance_transform_edt(np.pad(water, 1))[1:-1, 1:-1] >= max(width / 2 - 0.5, 1.0)
-    kept: Bools = (
-        water & (scipy.ndimage.distance_transform_edt(~inner) <= width / 2 + 1) if inner.any() else inner
-    )
-    return kept
+    least = max(width / 2 - 0.5, 1.0)
+    inner = ~within(~np.pad(water, 1), math.nextafter(least, 0.0))[1:-1, 1:-1]
+    return water & within(inner, width / 2 + 1)
 
 
 def disk(radius: float) -> Bools:

@@ -94,7 +94,7 @@ def _cells(store: TileStore, work: FindWater, size_m: float) -> Cells:
     """Returns, classes and ground of the coarse cells of a run."""
     coarse, spec = work.coarse, work.spec
     points = store.read_block(work.occupancy, Block(0, 0, coarse.height, coarse.width))
-    total, number = np.zeros(points.shape), np.zeros(points.shape)
+    total, number = np.zeros(points.shape), np.zeros(points.shape, np.int32)
     for key in work.blocks:
         block = spec.block_named(key, BLOCK_PIXELS)
         heights = store.read_block(work.heights, block)
@@ -107,12 +107,14 @@ def _cells(store: TileStore, work: FindWater, size_m: float) -> Cells:
         places, size = (cell_rows[rows] - row) * shape[1] + (cell_cols[cols] - col), shape[0] * shape[1]
         near = np.s_[row : row + shape[0], col : col + shape[1]]
         total[near] += np.bincount(places, heights[rows, cols], size).reshape(shape)
-        number[near] += np.bincount(places, minlength=size).reshape(shape)
-    ground = np.where(number > 0, total / np.maximum(number, 1), np.nan) * float(
-        store.meta.frame.units.vertical
-    )
+        number[near] += np.bincount(places, minlength=size).reshape(shape).astype(np.int32)
+    known = number > 0
+    ground = np.divide(total, number, out=total, where=known)
+    ground[~known] = np.nan
+    ground *= float(store.meta.frame.units.vertical)
+    del number
     domain = survey_of(points != 0, work.gap) != BEYOND
-    return Cells(np.abs(points).astype(np.float64), points < 0, ground, domain, size_m)
+    return Cells(np.abs(points), points < 0, ground, domain, size_m)
 
 
 def _without_islands(water: Bools, least: float) -> Bools:

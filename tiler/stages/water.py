@@ -23,8 +23,8 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 FINDING, STAGE = "water-search", "water"
-CELL_BYTES = 100
-"""Of a coarse cell while water is looked for: measured 90."""
+CELL_BYTES = 60
+"""Of a coarse cell while water is looked for: measured 51."""
 STEEPEST = 1 / 30
 """Fall of a river over its length, at most."""
 SHORE_REACH = 4

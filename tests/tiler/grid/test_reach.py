@@ -1,0 +1,28 @@
+"""Cells near others, against the distance transform of the whole raster."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiler.grid import reach
+
+
+@given(
+    shape=st.tuples(st.integers(1, 60), st.integers(1, 20)),
+    share=st.sampled_from([0.0, 0.005, 0.1, 1.0]),
+    radius=st.sampled_from([0.0, 0.9, 1.0, 1.5, 2.0**0.5, 5.0, 13.3, 100.0]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_strips_are_as_the_whole(shape: tuple[int, int], share: float, radius: float, seed: int) -> None:
+    cells = np.random.default_rng(seed).random(shape) < share
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reach, "STRIP_ROWS", 7)
+        found = reach.within(cells, radius)
+    if not cells.any():
+        assert not found.any()
+        return
+    assert np.array_equal(found, scipy.ndimage.distance_transform_edt(~cells) <= radius)
