@@ -81,7 +81,7 @@ class HighestReturns:
         Parameters
         ----------
         reach : int
-            Pixels around, to each side; within that distance of the block's edge the answer holds only
+            Pixels around, to each side, at least 1; within that distance of the block's edge the answer holds only
             where nothing lies beyond.
         spike : float
             Counts.

@@ -32,7 +32,8 @@ class Nearest(NamedTuple):
     Attributes
     ----------
     squared : int64 [rows, columns, k]
-        Squared distances in counts from near to far, from the centre rounded down to whole counts.
+        Squared distances in counts from near to far, from the centre rounded down to whole counts; 2**63 - 1 where
+        there are no more.
     points : int32 [rows, columns, k]
         Their indices, `NONE` where there are no more within reach.
     """

@@ -211,7 +211,7 @@ class Trial:
         return _test(self._tested, Xyz(x, y, z), which, near, distance, sine)
 
     def count(self, x: Int32, y: Int32, z: Int32, which: Bool, bins: Bins) -> Int64:
-        """Distances and smallest angles of the chosen points off the vertices: int64 [distances, angles]."""
+        """Distances and angles (by ``largest``) of the chosen points off the vertices: int64 [distances, angles]."""
         counts = np.zeros((bins.distances, bins.angles), np.int64)
         if self.usable.size:
             distance = self.scale.counts(bins.distance_m)

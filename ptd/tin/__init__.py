@@ -1,10 +1,9 @@
 """Exact, unique, incremental Delaunay TIN and its interpolation; for kernels see `ptd.tin.layout` first."""
 
-from ptd.tin.gridding import EVERYWHERE, Pixels, Raster, Window, pixel_owners, rasterise
+from ptd.tin.gridding import Pixels, Raster, Window, pixel_owners, rasterise
 from ptd.tin.mesh import MAX_EXTENT, Tin
 
 __all__ = [
-    "EVERYWHERE",
     "MAX_EXTENT",
     "Pixels",
     "Raster",

@@ -19,8 +19,7 @@ def lower_vertex(vertices: Int32Array, triangles: Int32Array, vertex: int, z: in
     if z >= vertices[4 * vertex + 2]:
         return
     vertices[4 * vertex + 2] = z
-    start = 8 * vertices[4 * vertex + 3]
-    edge = start
+    edge = 8 * vertices[4 * vertex + 3]
     while triangles[edge + 4] != vertex:
         edge += 1
     start = edge >> 3

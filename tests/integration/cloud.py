@@ -125,6 +125,7 @@ class Cable(threading.Thread):
         self._port = port
         self._listening = socket.create_server(("127.0.0.1", 0))
         self._ends: list[socket.socket] = []
+        self._lock, self._gone = threading.Lock(), False
         self.address = f"tcp://127.0.0.1:{self._listening.getsockname()[1]}"
 
     def run(self) -> None:
@@ -133,8 +134,12 @@ class Cable(threading.Thread):
                 near, _ = self._listening.accept()
             except OSError:
                 return
-            far = socket.create_connection(("127.0.0.1", self._port))
-            self._ends += [near, far]
+            with self._lock:
+                if self._gone:  # accepted just before
+                    near.close()
+                    return
+                far = socket.create_connection(("127.0.0.1", self._port))
+                self._ends += [near, far]
             for ends in ((near, far), (far, near)):
                 threading.Thread(target=self._carry, args=ends, daemon=True).start()
 
@@ -145,11 +150,13 @@ class Cable(threading.Thread):
             target.shutdown(socket.SHUT_WR)
 
     def cut(self, for_good: bool = False) -> None:
-        if for_good and self._listening.fileno() >= 0:
-            self._listening.shutdown(socket.SHUT_RDWR)
-            self._listening.close()
-        for end in self._ends:
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-            end.close()
-        self._ends.clear()
+        with self._lock:
+            if for_good and not self._gone:
+                self._gone = True
+                self._listening.shutdown(socket.SHUT_RDWR)
+                self._listening.close()
+            for end in self._ends:
+                with contextlib.suppress(OSError):
+                    end.shutdown(socket.SHUT_RDWR)
+                end.close()
+            self._ends.clear()

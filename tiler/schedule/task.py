@@ -172,7 +172,10 @@ class Executor(Protocol):
         ...
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Outcomes as they come, in any order, with a bounded number of tasks in flight; one a try."""
+        """Outcomes as they come, in any order, with a bounded number of tasks in flight; one a try.
+
+        Raises ConnectionLostError where the connection to a cluster broke and does not come back.
+        """
         ...
 
     def close(self) -> None:

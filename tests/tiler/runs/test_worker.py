@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import sys
 from fractions import Fraction
 from functools import partial
@@ -44,12 +45,12 @@ def resident_after(url: str) -> int:
     return int(psutil.Process().memory_info().rss)
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the allocator of glibc")
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other allocators give back at once")
 def test_a_worker_keeps_freed_memory_up_to_an_eighth_of_what_it_may_have(tmp_path: Path) -> None:
     url = str(tmp_path / "store.zarr")
     create_store(url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False))
     left = []
     for memory_bytes in (64 << 20, 4 << 30):
         with Guard(None, partial(prepare, memory_bytes)) as guard:
-            left.append(guard.call(resident_after, url, seconds=60.0))
+            left.append(guard.call(resident_after, url, seconds=300.0))
     assert left[1] - left[0] > 200 << 20
