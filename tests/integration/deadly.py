@@ -1,9 +1,10 @@
-"""Tiles that kill, block or fill their worker: works that a worker process finds by name."""
+"""Tiles that kill, block or fill their worker, or wait: works that a worker process finds by name."""
 
 from __future__ import annotations
 
 import os
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from tiler.ingest import AssembleBuckets, assemble_buckets
 
 CELL = "TILER_TEST_DEADLY_CELL"
 DEED = "TILER_TEST_DEED"
+HOLD = "hold"
+"""Name of a file beside OUT; whose tile removes it is the only one that does not wait."""
 
 
 def deadly_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
@@ -27,6 +30,15 @@ def deadly_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
             np.ones(1 << 32)
         if deed == "sleep":
             time.sleep(600)
+    return filter_tile(store_url, work)
+
+
+def held_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
+    """`filter_tile`, but of one tile alone: the others wait until they are killed."""
+    try:
+        (Path(store_url).parents[1] / HOLD).unlink()
+    except FileNotFoundError:
+        time.sleep(3600)
     return filter_tile(store_url, work)
 
 

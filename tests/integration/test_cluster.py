@@ -12,6 +12,7 @@ import pytest
 
 from tests.integration.cloud import BUCKET, Cable, Cluster, blind
 from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, environment, started, tiler
+from tests.integration.held import held, hold
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
 from tests.scenes.running import wait_for
@@ -119,7 +120,8 @@ def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_p
     ended(process)
     assert output_digests(out) == output_digests(local)
     gone = tmp_path / "gone"
-    process = start(cloud, "-o", gone, "--scheduler", cable.address, "-q")
+    hold(gone)
+    process = started(held("run", cloud, "-o", gone, "--scheduler", cable.address, "-q", *OPTIONS))
     wait_for(gone, "task_done", "filter0", process)
     cable.cut(for_good=True)
     _, error = process.communicate(timeout=TIMEOUT_SECONDS)

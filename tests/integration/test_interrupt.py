@@ -13,10 +13,11 @@ import psutil
 import pytest
 
 from ptd.precompile import warm_filters, warm_gridding
-from tests.integration.command import command, started
+from tests.integration.command import TIMEOUT_SECONDS, started
+from tests.integration.held import held, hold
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests, the_store
-from tests.scenes.running import wait_for
+from tests.scenes.running import all_gone, wait_for
 
 STAGES = ("spool", "assemble", "filter0", "grid-dtm", "export")
 OPTIONS = "--method classic --workers 2 --resolution 1 --tile-size 64 --halo 80 --memory 1GiB"
@@ -24,7 +25,7 @@ OPTIONS = "--method classic --workers 2 --resolution 1 --tile-size 64 --halo 80 
 
 @pytest.fixture(scope="module")
 def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Large enough that there is time to hit it, once the kernels are compiled."""
+    """Of some tiles; the kernels are compiled."""
     warm_filters("classic", lambda: None)
     warm_gridding("linear", lambda: None)
     return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(160.0, 1.5))
@@ -46,7 +47,8 @@ def start(interruptible: None) -> Iterator[Start]:
     processes: list[subprocess.Popen[str]] = []
 
     def begin(cloud: Path, out: Path) -> subprocess.Popen[str]:
-        call = command("run", cloud, "-o", out, *OPTIONS.split())
+        hold(out)
+        call = held("run", cloud, "-o", out, *OPTIONS.split())
         processes.append(started(call, start_new_session=True))
         return processes[-1]
 
@@ -55,11 +57,6 @@ def start(interruptible: None) -> Iterator[Start]:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
-
-
-def all_gone(group: list[psutil.Process]) -> bool:
-    _, alive = psutil.wait_procs(group, timeout=120)
-    return not alive
 
 
 @pytest.mark.parametrize(
@@ -79,7 +76,7 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
     group = psutil.Process(process.pid).children(recursive=True)
     assert len(group) >= 2
     os.killpg(process.pid, interrupt)
-    _, error = process.communicate(timeout=120)
+    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
     assert process.returncode == 130, error
     assert error.splitlines()[-1] == "tiler: interrupted; the same command goes on where it was"
     assert "Traceback" not in error
@@ -100,8 +97,9 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
 def test_kill_of_the_command_alone_takes_its_workers_along(start: Start, cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     process = start(cloud, out)
-    wait_for(out, "stage_started", "filter0", process)
+    wait_for(out, "task_done", "filter0", process)
     group = psutil.Process(process.pid).children(recursive=True)
+    assert len(group) >= 2
     process.kill()
-    process.communicate(timeout=120)
+    process.communicate(timeout=TIMEOUT_SECONDS)
     assert all_gone(group)

@@ -1,0 +1,28 @@
+"""The command line, patient and with tiles that wait: it cannot be done before a test has hit it, whatever the load."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from cli import ending
+from cli.main import main
+from tests.integration.command import TIMEOUT_SECONDS
+from tests.integration.deadly import HOLD, held_tile
+from tiler.stages import tasks
+
+
+def hold(out: Path) -> None:
+    """Let all tiles but one wait, of runs with this OUT that `held` starts."""
+    (out.parent / HOLD).touch()
+
+
+def held(*arguments: object) -> list[str]:
+    """As `tests.integration.command.command`."""
+    return [sys.executable, "-m", "tests.integration.held", *map(str, arguments)]
+
+
+if __name__ == "__main__":
+    tasks.filter_tile = held_tile  # type: ignore[attr-defined]
+    ending.GRACE_SECONDS = TIMEOUT_SECONDS
+    sys.exit(main())
