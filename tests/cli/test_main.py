@@ -87,8 +87,9 @@ def waiting(folder: Path) -> subprocess.Popen[str]:
     (folder / "waiting.py").write_text(
         "import sys, time\n"
         "from unittest import mock\n"
-        "import tiler.apps.info\n"
+        "import cli.ending, tiler.apps.info\n"
         "from cli.main import main\n"
+        "cli.ending.GRACE_SECONDS = 900\n"
         "def wait(path):\n"
         "    print('ready', flush=True)\n"
         "    time.sleep(900)\n"
@@ -106,7 +107,7 @@ def waiting(folder: Path) -> subprocess.Popen[str]:
 def end_of(process: subprocess.Popen[str]) -> tuple[int, str]:
     """Exit code and last words; whatever becomes of it, it is gone afterwards."""
     try:
-        _, error = process.communicate(timeout=60)
+        _, error = process.communicate(timeout=900)
     finally:
         process.kill()
         process.communicate()

@@ -5,15 +5,17 @@ from __future__ import annotations
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 import pytest
 
 from cli.main import main
-from tests.integration.command import assert_one_line, command, started
+from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, started
 from tests.integration.hanging import endless_geopackage, huge_raster
 from tests.invariants import clouds
+from tests.scenes.running import all_gone, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -80,16 +82,15 @@ def test_settings_without_end_are_not_read(tmp_path: Path, capsys: pytest.Captur
         assert_one_line(capsys.readouterr().err, f"{name}.toml: {part}")
 
 
-def end_of(call: list[str], after: float) -> str:
-    """Send SIGTERM to a command that has worked for some seconds; it ends, its children too. What it said."""
+def end_of(call: list[str], at_work: Callable[[psutil.Process], bool]) -> str:
+    """Send SIGTERM to a command a second after it is at work; it ends, its children too. What it said."""
     process = started(call)
-    time.sleep(after)
-    assert process.poll() is None, process.communicate()
+    wait_until(lambda: at_work(psutil.Process(process.pid)), process)
+    time.sleep(1.0)
     children = psutil.Process(process.pid).children(recursive=True)
     process.send_signal(signal.SIGTERM)
-    _, error = process.communicate(timeout=60)
-    _, alive = psutil.wait_procs(children, timeout=10)
-    assert not alive
+    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
+    assert all_gone(children)
     assert process.returncode == 130, error
     return error
 
@@ -98,16 +99,18 @@ def end_of(call: list[str], after: float) -> str:
 def test_sigterm_ends_the_reading_of_what_never_ends(
     name: str, cloud: Path, hostile: dict[str, Path], tmp_path: Path
 ) -> None:
-    error = end_of(command(*asked(cloud, hostile, tmp_path / "out")[name]), after=3.0)
+    call = command(*asked(cloud, hostile, tmp_path / "out")[name])
+    error = end_of(call, lambda process: len(process.children(recursive=True)) > 1)
     assert error.splitlines()[-1].startswith("tiler: interrupted")
 
 
 STUCK = """
-import ctypes, sys
+import ctypes, pathlib, sys
 import cli.commands.methods as methods
 def stuck(*arguments, **settings):
     for _ in range(1000):
         try:
+            pathlib.Path(__file__).with_name("ready").touch()
             {}
         except KeyboardInterrupt:
             pass
@@ -121,13 +124,14 @@ sys.exit(main())
 def interrupted(folder: Path, program: str) -> str:
     """What a program says that is interrupted once it is stuck, for a minute each time."""
     (folder / "stuck.py").write_text(program)
-    return end_of([sys.executable, str(folder / "stuck.py")], after=1.5)
+    return end_of([sys.executable, str(folder / "stuck.py")], lambda _: (folder / "ready").exists())
 
 
 def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path) -> None:
     """As a compressor does whose file is written by Python."""
     stuck = STUCK.format("__import__('time').sleep(60)").replace("pass", "raise ValueError('write')")
-    assert interrupted(tmp_path, stuck) == "tiler: interrupted\n"
+    patient = f"import cli.ending\ncli.ending.GRACE_SECONDS = 900\n{stuck}"
+    assert interrupted(tmp_path, patient) == "tiler: interrupted\n"
 
 
 @pytest.mark.parametrize(
