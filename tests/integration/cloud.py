@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import socket
 import subprocess
 import sys
 import threading
+import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.integration.command import environment
+from tests.integration.command import TIMEOUT_SECONDS, environment
 
 BUCKET = "bucket"
 
@@ -39,14 +41,8 @@ def object_store() -> Iterator[dict[str, str]]:
         server.stop()
 
 
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
-
-
 class Cluster:
-    """A Dask scheduler and workers; a context manager.
+    """A Dask scheduler and workers; a context manager, within which ``port`` and ``address`` are the scheduler's.
 
     Parameters
     ----------
@@ -54,16 +50,24 @@ class Cluster:
         Of the processes, and of their logs.
     """
 
+    port: int
+    address: str
+
     def __init__(self, folder: Path, variables: dict[str, str] | None = None) -> None:
         self.folder = folder
-        self.port = free_port()
-        self.address = f"tcp://127.0.0.1:{self.port}"
         self._variables = variables or {}
         self._processes: list[subprocess.Popen[bytes]] = []
 
     def __enter__(self) -> Cluster:
-        options = f"--host 127.0.0.1 --port {self.port} --no-dashboard".split()
-        self._start("dask.__main__", "scheduler", *options)
+        # It chooses its port: one that is chosen here may be another's by then.
+        told, options = self.folder / "scheduler.json", "--host 127.0.0.1 --port 0 --no-dashboard"
+        scheduler = self._start("dask.__main__", "scheduler", *options.split(), "--scheduler-file", str(told))
+        began = time.monotonic()
+        while not (found := _address_in(told)):
+            assert scheduler.poll() is None, (self.folder / "log-0").read_text()
+            assert time.monotonic() - began < TIMEOUT_SECONDS
+            time.sleep(0.05)
+        self.address, self.port = found, int(found.rpartition(":")[2])
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -90,8 +94,8 @@ class Cluster:
     def wait_for(self, workers: int) -> None:
         from distributed import Client
 
-        with Client(self.address, timeout=60, set_as_default=False) as client:
-            client.wait_for_workers(workers, timeout=120)
+        with Client(self.address, timeout=TIMEOUT_SECONDS, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=TIMEOUT_SECONDS)
 
     def _start(self, *arguments: str, **variables: str) -> subprocess.Popen[bytes]:
         with open(self.folder / f"log-{len(self._processes)}", "wb") as log:
@@ -104,6 +108,14 @@ class Cluster:
             )
         self._processes.append(process)
         return process
+
+
+def _address_in(file: Path) -> str:
+    """The address that a scheduler wrote into a file; empty until it is there, and whole."""
+    try:
+        return str(json.loads(file.read_text())["address"])
+    except (FileNotFoundError, json.JSONDecodeError):
+        return ""
 
 
 def blind(token: str) -> bool:
@@ -124,8 +136,9 @@ class Cable(threading.Thread):
         super().__init__(daemon=True)
         self._port = port
         self._listening = socket.create_server(("127.0.0.1", 0))
+        self._lock = threading.Lock()
         self._ends: list[socket.socket] = []
-        self._lock, self._gone = threading.Lock(), False
+        self._gone = False
         self.address = f"tcp://127.0.0.1:{self._listening.getsockname()[1]}"
 
     def run(self) -> None:
@@ -134,11 +147,15 @@ class Cable(threading.Thread):
                 near, _ = self._listening.accept()
             except OSError:
                 return
-            with self._lock:
-                if self._gone:  # accepted just before
-                    near.close()
+            with self._lock, contextlib.ExitStack() as closed:
+                closed.enter_context(near)
+                if self._gone:
                     return
-                far = socket.create_connection(("127.0.0.1", self._port))
+                try:
+                    far = socket.create_connection(("127.0.0.1", self._port))
+                except OSError:  # the scheduler is gone
+                    continue
+                closed.pop_all()
                 self._ends += [near, far]
             for ends in ((near, far), (far, near)):
                 threading.Thread(target=self._carry, args=ends, daemon=True).start()
@@ -150,10 +167,11 @@ class Cable(threading.Thread):
             target.shutdown(socket.SHUT_WR)
 
     def cut(self, for_good: bool = False) -> None:
-        with self._lock:
+        with self._lock:  # what is just being connected is cut as well
             if for_good and not self._gone:
                 self._gone = True
-                self._listening.shutdown(socket.SHUT_RDWR)
+                with contextlib.suppress(OSError):
+                    self._listening.shutdown(socket.SHUT_RDWR)
                 self._listening.close()
             for end in self._ends:
                 with contextlib.suppress(OSError):
