@@ -34,8 +34,9 @@ def fill_disk(tell: Callable[[], None]) -> None:
 
 @pytest.fixture
 def told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Events; that kernels are compiled is said by files in a folder of the test."""
+    """Events; that kernels are compiled is said by files in a folder of the test, and no other process's count."""
     monkeypatch.setattr(compiling, "is_compiled", lambda name: Path(name).exists())
+    monkeypatch.setattr(compiling, "compiled_count", lambda: 0)
     return []
 
 
