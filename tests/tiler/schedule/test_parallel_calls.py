@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 
 import psutil
 
@@ -61,5 +62,9 @@ def test_none_outlives_what_ends_early() -> None:
 
 
 def _children() -> list[psutil.Process]:
-    servers = [c for c in psutil.Process().children() if "tiler.schedule.guarded" in c.cmdline()]
-    return [c for server in servers for c in server.children()]
+    found: list[psutil.Process] = []
+    for process in psutil.Process().children():
+        with suppress(psutil.NoSuchProcess):  # what ended meanwhile has no children
+            if "tiler.schedule.guarded" in process.cmdline():
+                found += process.children()
+    return found

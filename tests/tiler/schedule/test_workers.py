@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -126,8 +127,12 @@ def test_workers_end_in_the_midst_of_their_work(tmp_path: Path) -> None:
     executor = DaskExecutor(2)
     outcomes = executor.run(calls.perform, str(tmp_path), [task(1), task(2, wait=900), task(3, wait=900)])
     next(outcomes)
-    workers = set(psutil.Process().children(recursive=True)) - before
-    assert len(workers) == 3  # and what forks them
+    workers, began = set[psutil.Process](), time.monotonic()
+    # And what forks them; the second may not have begun when the first is done.
+    while len(workers) < 3 and time.monotonic() - began < SECONDS:
+        time.sleep(0.01)
+        workers = set(psutil.Process().children(recursive=True)) - before
+    assert len(workers) == 3
     executor.close()
     assert not psutil.wait_procs(workers, timeout=120)[1]
     assert logging.getLogger("distributed").level == level
@@ -174,15 +179,14 @@ def test_the_connection_breaks_while_a_result_is_fetched(
     for_good: bool,
     port: int,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """The task is done again over the next connection; where there is none, the run ends with one line."""
-    if for_good:
-        monkeypatch.setattr("tiler.schedule.workers.CONNECT_SECONDS", 3)
     cable = Cable(port)
     cable.start()
     executor = DaskExecutor(1, cable.address)
+    if for_good:
+        executor._client._timeout = 3  # of a connection that is taken up again
     fetch = executor._client._gather_remote
 
     async def cut(*arguments: Any) -> Any:
