@@ -92,8 +92,16 @@ def test_a_held_lease_is_renewed_and_a_lost_one_noticed(
         while storage.get_json(LOCK_KEY)["renewed"] == first and time.monotonic() < deadline:
             time.sleep(0.005)
         assert storage.get_json(LOCK_KEY)["renewed"] > first
+        waits, wait = list[float](), held._stop.wait
+
+        def noted(seconds: float) -> bool:
+            waits.append(seconds)
+            return wait(seconds)
+
+        monkeypatch.setattr(held._stop, "wait", noted)
         monkeypatch.setattr(lock, "RENEW_SECONDS", 1000.0)
-        time.sleep(0.5)  # a renewal that is under way
+        while 1000.0 not in waits:  # a renewal is under way
+            time.sleep(0.005)
         storage.put_json(LOCK_KEY, lease(host="elsewhere"))
         with pytest.raises(LockedError, match="on elsewhere"):
             held.check()
