@@ -44,12 +44,20 @@ cd "$work/out"
 env -i "${clean[@]}" "$work/src/docker/check.sh"
 
 echo "smoke: the compose file's cluster"
-port=$(python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])')
+# A port below those that the system gives to whoever asks for any.
+port=$(python3 -c 'import random, socket
+for port in random.sample(range(20000, 32000), 100):
+    try:
+        socket.socket().bind(("127.0.0.1", port))
+    except OSError:
+        continue
+    print(port)
+    break')
 env -i "${clean[@]}" dask scheduler --host 127.0.0.1 --port "$port" --no-dashboard >"$work/scheduler.log" 2>&1 &
 cluster+=($!)
 env -i "${clean[@]}" dask worker "tcp://127.0.0.1:$port" --nworkers 2 --nthreads 1 --memory-limit 0 --no-dashboard \
     >"$work/workers.log" 2>&1 &
 cluster+=($!)
-env -i "${clean[@]}" python -c "from distributed import Client; Client('tcp://127.0.0.1:$port').wait_for_workers(2, 60)"
+env -i "${clean[@]}" python -c "from distributed import Client; Client('tcp://127.0.0.1:$port', timeout=600).wait_for_workers(2, 600)"
 env -i "${clean[@]}" "$work/src/docker/check.sh" --scheduler "tcp://127.0.0.1:$port"
 echo "smoke: done"

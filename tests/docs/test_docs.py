@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import random
 import re
 import shlex
 import socket
@@ -21,6 +23,15 @@ BLOCK = re.compile(r"^```(sh|python)(?: exit=(\d+))?\n(.*?)^```$", re.MULTILINE 
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 LARGEST_PICTURE = 200_000
 PORT = "8786"
+
+
+def free_port() -> str:
+    """One below those that systems give away by themselves, as the blocks before may take minutes."""
+    for port in random.sample(range(20_000, 32_000), 100):
+        with socket.socket() as free, contextlib.suppress(OSError):
+            free.bind(("127.0.0.1", port))
+            return str(port)
+    raise AssertionError("no free port")
 
 
 def blocks(page: Path) -> list[tuple[int, str]]:
@@ -80,9 +91,7 @@ def test_every_command_works(page: Path, tmp_path: Path) -> None:
         program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {module} "$@"\n')
         program.chmod(0o755)
     path = os.pathsep.join((str(programs), os.environ["PATH"]))
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
+    port = free_port()
     for code, text in blocks(page):
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", text.replace(PORT, port)],

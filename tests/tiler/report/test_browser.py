@@ -18,6 +18,7 @@ pytestmark = pytest.mark.slow
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 FRAMES_OF_A_DRAG = 20
+PATIENCE_MS = 300_000.0
 READY = "html[data-ready=yes]"
 SHARE_PAINTED = """() => {
   const canvas = document.getElementById("canvas");
@@ -51,7 +52,7 @@ def browser() -> Iterator[Any]:
         pytest.skip("no Chromium on this machine")
     unprivileged = [] if os.geteuid() else ["--no-sandbox"]  # Chromium's sandbox refuses root
     with playwright.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=CHROMIUM, args=unprivileged)
+        chromium = started.chromium.launch(executable_path=CHROMIUM, args=unprivileged, timeout=PATIENCE_MS)
         yield chromium
         chromium.close()
 
@@ -61,6 +62,7 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
     """Opens the report of a run.json; in the end nothing may have been asked for, or gone wrong."""
     told: list[str] = []
     page = browser.new_page(viewport={"width": 1200, "height": 900})
+    page.set_default_timeout(PATIENCE_MS)
     page.on("console", lambda message: told.append(message.text))
     page.on("pageerror", lambda error: told.append(str(error)))
     page.on("request", lambda request: told.append(request.url))
