@@ -38,6 +38,8 @@ WAITING_PER_WORKER = 1
 """Tasks of a cluster that wait at their worker, so that it does not idle while the client hears of a result."""
 
 CONNECT_SECONDS = 20
+WORKERS_SECONDS = 20
+"""For the first worker of a cluster that was started just before: workers take longer than their scheduler."""
 CLOSE_SECONDS = 5
 LOOKS_AT_A_TIME = 16
 """Workers that are judged together: a child starts on each, which takes about a second."""
@@ -107,8 +109,11 @@ class DaskExecutor:
             raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
         self._judged: set[str] = set()
         self._judge: Look | None = None
-        self.workers = 0
+        self.workers, began = 0, time.monotonic()
         self._look()
+        while self.workers == 0 and self._looked - began < WORKERS_SECONDS:
+            time.sleep(0.2)
+            self._look()
         if self.workers == 0:
             self.close()
             raise self._without_workers()

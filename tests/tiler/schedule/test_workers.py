@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import psutil
@@ -170,7 +171,7 @@ def test_an_address_that_cannot_be_one_is_refused_at_once(address: str) -> None:
 def port() -> Iterator[int]:
     """Of a scheduler that has one worker."""
     options = {"threads_per_worker": 1, "processes": False, "protocol": "tcp", "memory_limit": 0}
-    with LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address=None, **options) as cluster:
+    with LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", **options) as cluster:
         yield int(cluster.scheduler_address.rsplit(":", 1)[1])
 
 
@@ -230,3 +231,22 @@ def test_a_worker_that_is_unfit_is_refused_whenever_it_joins(
             executor.on_each_worker(look)
     finally:
         executor.close()
+
+
+def test_a_cluster_whose_workers_come_late_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For a while: one without any is refused."""
+    options = {"threads_per_worker": 1, "processes": False, "protocol": "tcp", "memory_limit": 0}
+    with LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0", **options) as cluster:
+        monkeypatch.setattr("tiler.schedule.workers.WORKERS_SECONDS", 0.5)
+        with pytest.raises(ConfigError, match="it has no workers; start some with `dask worker"):
+            DaskExecutor(1, cluster.scheduler_address)
+        monkeypatch.setattr("tiler.schedule.workers.WORKERS_SECONDS", SECONDS)
+        Timer(1.0, cluster.scale, [1]).start()
+        executor = DaskExecutor(1, cluster.scheduler_address)
+        try:
+            assert executor.workers == 1
+            run(executor, others(1), tmp_path)
+        finally:
+            executor.close()
