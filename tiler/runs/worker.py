@@ -52,8 +52,12 @@ def _give_back() -> None:
     and on a virtual machine often fetched from the host: what the next task uses again costs neither.
     """
     if _resident_bytes() > _kept_bytes:
-        with suppress(*_NO_GLIBC):
-            _c_library().malloc_trim(0)
+        _give_all_back()
+
+
+def _give_all_back() -> None:
+    with suppress(*_NO_GLIBC):
+        _c_library().malloc_trim(0)
 
 
 def _keep_freed_memory() -> None:
@@ -102,6 +106,8 @@ def compute(store_url: str, task: Task) -> Outcome:
 
 def _worked(store_url: str, task: Task, committed: bool) -> Outcome:
     start = time.monotonic()
+    if task.starts_small:
+        _give_all_back()
     _forget_peak()
     kind: type[BaseException]
     damaged: tuple[str, ...] = ()

@@ -56,6 +56,8 @@ class Task:
     parts : tuple of Task
         That this one does at once: its record has theirs, in their order, as ``parts``, and each is committed by
         itself. It is tried once; if it fails, they are done one by one.
+    starts_small : bool
+        It needs much memory at once: before it starts, its worker gives back what it keeps between tasks.
     """
 
     stage: str
@@ -65,6 +67,7 @@ class Task:
     arguments: Any = None
     points: int = 0
     parts: tuple[Task, ...] = ()
+    starts_small: bool = False
 
     @property
     def tries(self) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.runs.job import Job
 from tiler.stages.raster_tasks import WHOLE
+from tiler.store import chunk_numbers
 
 ROUNDS = 3
 """Rounds of repair: a disk that damages what it is given again and again is beyond it."""
@@ -19,22 +20,22 @@ def heal(job: Job, keys: Iterable[str]) -> None:
     """Take back what wrote the objects of these keys, as `tiler.errors.DamagedError` names them."""
     for key in sorted(set(keys)):
         job.note(f"store: {key} is damaged or gone; what wrote it is done again")
-        kind, name, *rest = [*key.split("/"), ""]
-        whole = rest[:1] != ["c"] or not rest[1:2][0].isdigit()  # not a chunk: the whole array
+        kind, name, chunk = [*key.split("/"), "", ""][:3]
+        numbers = chunk_numbers(chunk)  # None: the whole array
         if kind == "spool":
             job.store.uncommit("spool", name)
         elif kind == "records":
             job.store.forget(f"records/{name}")  # the source is decoded once more
-        elif kind == "rasters" and whole:
+        elif kind == "rasters" and numbers is None:
             job.store.clear(f"grid-{name}")
             job.store.forget(f"rasters/{name}")
-        elif kind == "rasters":
-            _take_back_block(job, name, int(rest[1]), int(rest[2]))
-        elif kind in ("labels", "elected") and whole:
+        elif kind == "rasters" and numbers:
+            _take_back_block(job, name, *numbers)
+        elif kind in ("labels", "elected") and numbers is None:
             _clear_filters(job)
             job.store.forget(f"{kind}/{name}")
-        elif kind in ("labels", "elected", "points") and not whole:
-            _take_back_bucket(job, kind, int(rest[1]))
+        elif kind in ("labels", "elected", "points") and numbers:
+            _take_back_bucket(job, kind, numbers[0])
         else:  # the columns as a whole, or the index that knows which rows are whose
             _clear_filters(job)
             job.store.clear("assemble")

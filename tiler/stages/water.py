@@ -25,6 +25,8 @@ from tiler.version import __version__
 FINDING, STAGE = "water-search", "water"
 CELL_BYTES = 60
 """Of a coarse cell while water is looked for: measured 51."""
+MANY_CELLS = 1 << 21
+"""Coarse cells whose search takes more memory than other tasks leave free in a worker: 120 MB."""
 STEEPEST = 1 / 30
 """Fall of a river over its length, at most."""
 SHORE_REACH = 4
@@ -77,7 +79,8 @@ def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
     )  # fmt: skip
     seen = [g.checksums(name) for name in ("dtm", "occupancy")]
     digest = digest_of(__version__, work, seen, str(frame.units.vertical))
-    task = Task(FINDING, WHOLE, digest, find_bodies, work, g.coarse.height * g.coarse.width)
+    cells = g.coarse.height * g.coarse.width
+    task = Task(FINDING, WHOLE, digest, find_bodies, work, cells, starts_small=cells > MANY_CELLS)
     made = run_stage(job, FINDING, [task])
     return tuple(Water.from_json(body) for body in made[WHOLE][1]["bodies"]) if made else ()
 

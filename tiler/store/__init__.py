@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from tiler.store.commits import Commits
 from tiler.store.index import BucketInfo
-from tiler.store.layout import SPOOL_CHUNK
+from tiler.store.layout import SPOOL_CHUNK, chunk_numbers
 from tiler.store.lock import LEASE_SECONDS, Lease, locked_folder
 from tiler.store.meta import StoreMeta
 from tiler.store.opening import create_store, held_store, open_store, remove_store, store_exists
@@ -28,6 +28,7 @@ __all__ = [
     "StoreMeta",
     "TileStore",
     "Usage",
+    "chunk_numbers",
     "create_store",
     "held_store",
     "locked_folder",

@@ -21,6 +21,7 @@ from zarr.core.buffer import Buffer
 from zarr.storage import MemoryStore
 
 from tiler.errors import DamagedError, StoreError
+from tiler.store import layout
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind
 from tiler.store.storage import Storage, seal_holds, sealed
 
@@ -67,7 +68,7 @@ class StoredArray:
 
     def read(self, chunks: Sequence[Chunk]) -> list[npt.NDArray[Any]]:
         """Whole chunks, read-only; raises DamagedError, which names those damaged or missing."""
-        keys = [self._key(chunk) for chunk in chunks]
+        keys = [layout.chunk_key(self.path, chunk) for chunk in chunks]
         found, bad, reason = [], [], ""
         for key, data in zip(keys, self.storage.get_many(keys), strict=True):
             try:
@@ -88,16 +89,14 @@ class StoredArray:
 
     def write(self, chunk: Chunk, values: npt.NDArray[Any]) -> None:
         """Write a whole chunk; raises ProcessingError where the file system refuses."""
+        key = layout.chunk_key(self.path, chunk)
         if self.kind.sparse and np.all(values == self.fill):
-            self.storage.delete(self._key(chunk))
+            self.storage.delete(key)
         else:
-            self.storage.put(self._key(chunk), _encoded(values, self.kind))
+            self.storage.put(key, _encoded(values, self.kind))
 
     def _row(self, number: int) -> Chunk:
         return (number, *(0,) * (len(self.shape) - 1))
-
-    def _key(self, chunk: Chunk) -> str:
-        return f"{self.path}/c/{'/'.join(map(str, chunk))}"
 
     def _decoded(self, data: bytes | None) -> npt.NDArray[Any]:
         """The values of a chunk; ValueError or RuntimeError (of blosc) say what is wrong with it.
@@ -171,7 +170,7 @@ def write_metadata(
     zarr.create_array(
         MemoryStore(written), shape=shape, chunks=kind.chunks, dtype=kind.dtype, fill_value=kind.fill,
         serializer=BytesCodec(), filters=None, compressors=[blosc, Crc32cCodec()], attributes=attributes,
-        zarr_format=3,
+        chunk_key_encoding={"name": "default", "separator": layout.CHUNK_SEPARATOR}, zarr_format=3,
     )  # fmt: skip
     metadata: dict[str, Any] = json.loads(written["zarr.json"].to_bytes())
     storage.put(f"{path}/zarr.json", json.dumps(sealed(metadata)).encode())

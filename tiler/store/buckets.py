@@ -46,7 +46,7 @@ class BucketStore(points.ColumnStore):
         """Remove the chunks of the rows of buckets that moved away."""
         for bucket in buckets:
             for row in range(bucket.row, bucket.row + bucket.rows):
-                self._storage.delete(f"{path}/c/{row}/0/0")
+                self._storage.delete(layout.chunk_key(path, (row, 0, 0)))
 
     def write_bucket(self, cell: Cell, block: PointBlock, n_candidates: int) -> BucketInfo:
         """Write all points of a bucket, the candidates first; the record of it goes to `publish_index`.

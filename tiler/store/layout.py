@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -30,8 +30,12 @@ import numpy as np
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import StoreError
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 ROOT_ATTRIBUTE = "tiler_store"
+
+CHUNK_SEPARATOR = "."
+"""Between the numbers of a chunk in its key. A slash would make two folders of each chunk on a local disk, where they
+take longer to make and to remove than the chunk."""
 
 ROW_POINTS = 131072
 """Points in a row of the columns: one chunk, one object. Measured: see docs/decisions.md, "Store layout"."""
@@ -201,13 +205,25 @@ def state_key(name: str) -> str:
     return f"state/{safe(name)}.json"
 
 
+def chunk_key(path: str, chunk: Sequence[int]) -> str:
+    """Key of a chunk of the array at ``path``."""
+    return f"{path}/{CHUNK_SEPARATOR.join(['c', *map(str, chunk)])}"
+
+
+def chunk_numbers(name: str) -> tuple[int, ...] | None:
+    """Numbers of the chunk whose key ends in ``name``; None where that is no chunk."""
+    first, *numbers = name.split(CHUNK_SEPARATOR)
+    known = first == "c" and numbers and all(part.isascii() and part.isdigit() for part in numbers)
+    return tuple(map(int, numbers)) if known else None
+
+
 _NAME = r"[A-Za-z0-9_+=-][A-Za-z0-9._+=-]{0,199}"
 _SAFE = re.compile(_NAME)
 _HEX = "[0-9a-f]{32}"
 _KEYS = re.compile(
     r"zarr\.json|lock\.json"
     rf"|(points|labels|elected|rasters|spool|records)/({_NAME}/)?zarr\.json"
-    rf"|(points|labels|elected|rasters|spool|records)/{_NAME}/c(/[0-9]+)+"
+    rf"|(points|labels|elected|rasters|spool|records)/{_NAME}/c([./][0-9]+)+"  # with / up to schema 3: --overwrite removes those stores
     rf"|index/(current\.json|{_HEX}\.npy)"
     rf"|commits/{_NAME}/{_NAME}\.json|(packs|state)/{_NAME}\.json|trial/{_HEX}"
 )

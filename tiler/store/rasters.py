@@ -74,19 +74,14 @@ class RasterStore(StorePart):
 
     def stored_blocks(self, name: str) -> set[tuple[int, int]]:
         """First row and column of each block that a chunk is stored for; others hold the fill, or are lost."""
-        folder = f"{layout.raster_path(name)}/c"
-        return {
-            (int(row) * BLOCK_PIXELS, int(col) * BLOCK_PIXELS)
-            for row in self._storage.names(folder)
-            for col in self._storage.names(f"{folder}/{row}")
-            if row.isdigit() and col.isdigit()
-        }
+        stored = map(layout.chunk_numbers, self._storage.names(layout.raster_path(name)))
+        return {(chunk[0] * BLOCK_PIXELS, chunk[1] * BLOCK_PIXELS) for chunk in stored if chunk is not None}
 
     def erase_blocks(self, name: str, blocks: Iterable[Block]) -> None:
         """Remove what is stored of some blocks, which then hold the raster's fill."""
         for block in blocks:
-            chunk = f"c/{block.row // BLOCK_PIXELS}/{block.col // BLOCK_PIXELS}"
-            self._storage.delete(f"{layout.raster_path(name)}/{chunk}")
+            chunk = (block.row // BLOCK_PIXELS, block.col // BLOCK_PIXELS)
+            self._storage.delete(layout.chunk_key(layout.raster_path(name), chunk))
 
     def _raster(self, name: str) -> arrays.StoredArray:
         return self._opened(layout.raster_path(name), layout.raster_kind(0.0))

@@ -60,13 +60,13 @@ BOTH = {"f-west", "f-east"}
     ("key", "tasks"),
     [
         ("spool/s0-1", {"spool": {"s0-1"}}),
-        ("rasters/dtm/c/0/1", {"grid-dtm": {SECOND, WHOLE}}),
+        ("rasters/dtm/c.0.1", {"grid-dtm": {SECOND, WHOLE}}),
         ("rasters/dtm/zarr.json", {"grid-dtm": {FIRST, SECOND, WHOLE}}),
-        ("points/xyz/c/1/0/0", {"assemble": {"a-west"}}),
-        ("points/xyz/c/2/0/0", {"assemble": {"a-east"}}),
-        ("points/xyz/c/9/0/0", {}),
-        ("labels/filter0/c/3/0", {"filter0": {"f-east"}, "filter1": {"f-east"}}),
-        ("elected/filter0/c/0/0", {"filter0": {"f-west"}, "filter1": {"f-west"}}),
+        ("points/xyz/c.1.0.0", {"assemble": {"a-west"}}),
+        ("points/xyz/c.2.0.0", {"assemble": {"a-east"}}),
+        ("points/xyz/c.9.0.0", {}),
+        ("labels/filter0/c.3.0", {"filter0": {"f-east"}, "filter1": {"f-east"}}),
+        ("elected/filter0/c.0.0", {"filter0": {"f-west"}, "filter1": {"f-west"}}),
         ("labels/filter0/zarr.json", {"filter0": BOTH, "filter1": BOTH}),
         ("index/0", {"assemble": {"a-west", "a-east"}, "filter0": BOTH, "filter1": BOTH}),
         ("points/xyz/zarr.json", {"assemble": {"a-west", "a-east"}, "filter0": BOTH, "filter1": BOTH}),
@@ -79,7 +79,7 @@ def test_the_task_that_wrote_an_object_is_done_again(
 
 
 def test_several_objects_of_one_task_cost_it_once(store: TileStore) -> None:
-    assert undone(store, "points/xyz/c/0/0/0", "points/xyz/c/1/0/0", "spool/s0-0") == {
+    assert undone(store, "points/xyz/c.0.0.0", "points/xyz/c.1.0.0", "spool/s0-0") == {
         "assemble": {"a-west"},
         "spool": {"s0-0"},
     }

@@ -53,11 +53,11 @@ def damage(request: pytest.FixtureRequest) -> Callable[[Path], None]:
 
 ARRAYS: dict[str, tuple[str, Callable[[TileStore], object]]] = {
     **{
-        c: (f"points/{c}/c/2/0/0", lambda s, f=field: s.window(EVERYWHERE, (f,)))
+        c: (f"points/{c}/c.2.0.0", lambda s, f=field: s.window(EVERYWHERE, (f,)))
         for c, field in COLUMNS.items()
     },
-    "labels": ("labels/p/c/0/0/0", lambda store: store.read_labels("p", next(iter(store.buckets())))),
-    "spool": ("spool/a/c/0/0", lambda store: store.read_fragment("a", 10, 20)),
+    "labels": ("labels/p/c.0.0.0", lambda store: store.read_labels("p", next(iter(store.buckets())))),
+    "spool": ("spool/a/c.0.0", lambda store: store.read_fragment("a", 10, 20)),
 }
 """A chunk of each kind of array, and what reads it."""
 
@@ -77,7 +77,7 @@ def test_a_damaged_raster_is_an_error(local_store: TileStore, damage: Callable[[
     local_store.create_raster("dtm", 100, 100)
     block = Block(0, 0, 100, 100)
     local_store.write_block("dtm", block, np.arange(10_000, dtype=np.float32).reshape(100, 100))
-    path = Path(local_store.url, "rasters", "dtm", "c", "0", "0")
+    path = Path(local_store.url, "rasters", "dtm", "c.0.0")
     damage(path)
     if path.exists():
         with pytest.raises(StoreError, match="rasters/dtm is damaged"):
@@ -155,5 +155,5 @@ def test_a_full_disk_is_a_processing_error_with_its_remedy(
     cell = next(iter(filled.buckets()))
     with pytest.raises(DiskFullError, match="No space left on device.: the disk is full; free some"):
         filled.put_state("plan", 1)
-    with pytest.raises(DiskFullError, match="points/xyz/c/0/0/0: cannot be written .No space left"):
+    with pytest.raises(DiskFullError, match="points/xyz/c.0.0.0: cannot be written .No space left"):
         filled.write_bucket(cell, filled.read_bucket(cell, FIELDS), 0)

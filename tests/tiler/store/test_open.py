@@ -155,13 +155,13 @@ def test_a_file_is_no_place_for_a_store(tmp_path: Path, meta: StoreMeta) -> None
 
 def test_only_what_is_the_stores_own_is_removed(filled: TileStore) -> None:
     root = Path(filled.url)
-    mine = ["notes.txt", "points/notes.txt", "points/xyz/c/0/notes", "state/notes.md", "clouds/a.laz"]
+    mine = ["notes.txt", "points/notes.txt", "points/xyz/c.0/notes", "state/notes.md", "clouds/a.laz"]
     mine += ["a.partial", "spool/s0/a.laz", "commits/filter0/notes.txt"]
     for name in mine:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text("mine")
     (root / "points" / "link").symlink_to(root / "clouds")
-    scratch = root / "points" / "xyz" / "c" / f"0.{'0a' * 16}.partial"
+    scratch = root / "points" / "xyz" / f"c.0.0.0.{'0a' * 16}.partial"
     scratch.write_bytes(b"killed")
     filled.write_piece("s0", _no_points())
     filled.drop_spool()
@@ -191,13 +191,17 @@ def test_a_store_that_is_begun_anew_keeps_what_others_put_there(store_url: str, 
 
 def test_a_store_of_an_earlier_version_can_be_begun_anew(local_store: TileStore) -> None:
     local_store.put_state("plan", 1)
-    edit(Path(local_store.url, "zarr.json"), lambda d: d["attributes"]["tiler_store"].update(schema=2))
+    chunk = Path(local_store.url, "points", "xyz", "c", "0", "0", "0")
+    chunk.parent.mkdir(parents=True)
+    chunk.write_bytes(b"of schema 3")
+    edit(Path(local_store.url, "zarr.json"), lambda d: d["attributes"]["tiler_store"].update(schema=3))
     with pytest.raises(
-        ForeignStoreError, match="store of schema 2, this version reads 3; run again with --ov"
+        ForeignStoreError, match="store of schema 3, this version reads 4; run again with --ov"
     ):
         create_store(local_store.url, FEET)
     assert create_store(local_store.url, FEET, anew=True).get_state("plan") is None
     assert open_store(local_store.url).meta == FEET
+    assert not chunk.exists()
 
 
 def test_all_keys_of_a_store_are_known(filled: TileStore) -> None:
