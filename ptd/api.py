@@ -21,10 +21,13 @@ from ptd.passes import KINDS, Int32, Model, Pass, Points, RunFacts, UInt8, later
 COUNTS_PER_METRE = 1000
 BLOCK_POINTS = 8192
 """Points that are rounded at once: what is made on the way stays in the core's cache."""
+SMALLEST_SIGMA_M, LARGEST_SIGMA_M = 1e-6, 1e3
 LONGEST_SHOWN = 12
 """Values of a list that a notebook shows."""
 LARGEST_EXTENT_M = 60_000.0
 """In-circle tests are exact for differences below 2**26 counts."""
+FARTHEST_M = 9e12
+"""Counts of x and y are exact in float64 below 2**53."""
 HIGHEST_M = 2_000_000.0
 """Heights are int32 counts."""
 MOST_CELLS = 1 << 27
@@ -126,10 +129,11 @@ def classify(
     Raises
     ------
     ValueError
-        Not an [n, 3] array, values that are not finite, an extent above 60 km (134 km2 of a matched cloud), heights
-        beyond 2000 km, an unknown method, parameters of another, a ``sigma`` that is not above 0, a kind that there is
-        not, columns of another length or with values that their type cannot hold, a column that the method cannot do
-        without, or a cloud that it cannot work on (`ptd.passes.MethodRefusal`).
+        Not an [n, 3] array, values that are not finite, an extent above 60 km (134 km2 of a matched cloud), x or y
+        beyond 9e12 m, heights beyond 2000 km, an unknown method, parameters of another, a ``sigma`` that is not from
+        1e-6 to 1000 m, a kind that there is not, columns of another length or with values that their type cannot
+        hold, a column that the method cannot do without, or a cloud that it cannot work on
+        (`ptd.passes.MethodRefusal`).
 
     Examples
     --------
@@ -153,8 +157,8 @@ def classify(
     params = wanted() if params is None else params
     if type(params) is not wanted:  # a method's parameters may derive from another's
         raise ValueError(f"params is {type(params).__name__}, method {method} takes {wanted.__name__}")
-    if sigma is not None and not 0 < sigma < math.inf:
-        raise ValueError(f"sigma {sigma}: must be metres above 0")
+    if sigma is not None and not SMALLEST_SIGMA_M <= sigma <= LARGEST_SIGMA_M:
+        raise ValueError(f"sigma {sigma}: must be {SMALLEST_SIGMA_M:g} to {LARGEST_SIGMA_M:g} m")
     counts, scale = _counts(points)
     columns = {
         "rgb": _column("rgb", rgb, len(points), 3, np.uint16),
@@ -165,7 +169,7 @@ def classify(
             raise ValueError(f"method {method} needs {name}")
     if kind not in (None, *KINDS):
         raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
-    facts = RunFacts(columns["rgb"] is not None, sigma, kind)
+    facts = RunFacts(sigma, kind)
     labels, state, stats = do_passes(params, counts, columns, scale, Window.everything(), facts)
     return Result(labels, {"method": method, "parameters": to_json(params), "statistics": state}, stats)
 
@@ -262,6 +266,8 @@ def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: 
     found = np.asarray(values)
     if found.shape != (n, width):
         raise ValueError(f"{name} has shape {found.shape}, must be ({n}, {width}), a row for each point")
+    if found.dtype.kind not in "biuf":
+        raise ValueError(f"{name} must be whole numbers from 0 to {np.iinfo(dtype).max}")
     with np.errstate(invalid="ignore"):  # NaN is refused below
         column: npt.NDArray[Any] = np.ascontiguousarray(found.T, dtype)
     if not np.array_equal(column, found.T):
@@ -286,6 +292,10 @@ def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Sca
     if (highest := max(-low[2], high[2])) > HIGHEST_M:
         raise ValueError(
             f"xyz has heights of {highest:g} m above or below 0; up to {HIGHEST_M / 1000:.0f} km are allowed"
+        )
+    if (farthest := max(-low[:2].min(), high[:2].max())) > FARTHEST_M:
+        raise ValueError(
+            f"xyz has x or y of {farthest:g} m; up to {FARTHEST_M:g} m from 0 are exact, so subtract an offset"
         )
     origin = [round(float(v) * COUNTS_PER_METRE) for v in low[:2]]
     counts, at = np.empty((3, len(points)), np.int32), 0

@@ -53,7 +53,7 @@ def check(params: Any) -> None:
             raise ValueError(f"{spec.name} {value:g}: must be between {low:g} and {high:g}{unit}")
         if spec.metadata["unit"] == "m" and round(value, DECIMALS) != value:
             raise ValueError(
-                f"{spec.name} {value!r}: write at most {DECIMALS} decimals, as {round(value, DECIMALS):g}"
+                f"{spec.name} {value!r}: write at most {DECIMALS} decimals, as {round(value, DECIMALS)!r}"
             )
 
 

@@ -45,8 +45,6 @@ class RunFacts:
 
     Attributes
     ----------
-    rgb : bool
-        Whether points have colours.
     sigma_m : float or None
         The noise of heights as the user says it (``--sigma``).
     kind : {"lidar", "dim"} or None
@@ -54,7 +52,6 @@ class RunFacts:
         decided from the data.
     """
 
-    rgb: bool = False
     sigma_m: float | None = None
     kind: str | None = None
 

@@ -74,7 +74,7 @@ def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None)
         returns = np.full((2, len(xyz)), 2 if which == KINDS[0] else 1, np.uint8)
         columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": returns}
         tile = Window(0, 0, 60_000, 60_000)  # points beyond it are in doubt, which has kernels of its own
-        do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunFacts(rgb=True))
+        do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunFacts())
 
     for which in ((kind,) if kind else KINDS) if has_kinds(method) else (None,):
         _once(filters_name(method, which), tell, functools.partial(work, which))

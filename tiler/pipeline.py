@@ -263,7 +263,7 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
         )
     if new.has_rgb and not old.has_rgb:
         raise ConfigError(
-            f"{url}: was made without colours, the inputs have some; use --overwrite or another -o"
+            f"{url}: holds no colours, which --method {plan.config.method} needs; use --overwrite or another -o"
         )
     config, settled = plan.config, store.settled
     try:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import laspy
 import numpy as np
 import pytest
 
@@ -22,6 +23,7 @@ from tests.ptd.tiling import inside
 from tiler.errors import ConfigError
 from tiler.plan import make_plan, plan_json, plan_lines, projected_memory
 from tiler.plan.projection import overlap_of, widest_halo_m
+from tiler.store import open_store
 
 
 class MeanHeight(Census):
@@ -202,7 +204,7 @@ def test_what_the_user_says_of_the_cloud_reaches_the_passes(tmp_path: Path) -> N
     path = clouds.write(tmp_path / "city.laz", clouds.city(64.0))
     for kind, known in (("als", "lidar"), ("dim", "dim"), (None, None)):
         result = do(path, tmp_path / "out", "filter", method="lonely", kind=kind, sigma="0.1")
-        assert result.summary["statistics"]["mean"]["run"] == {"rgb": False, "sigma_m": 0.1, "kind": known}
+        assert result.summary["statistics"]["mean"]["run"] == {"sigma_m": 0.1, "kind": known}
         assert computed(result)["filter0"] == result.summary["stages"]["filter0"]["tasks"]
     with pytest.raises(ConfigError, match="kind 'sonar': choose one of als, dim"):
         do(path, tmp_path / "out", kind="sonar")
@@ -215,3 +217,20 @@ def test_colours_that_a_method_needs_are_asked_for_in_the_plan(
     path = clouds.write(tmp_path / "city.laz", clouds.city(64.0))
     with pytest.raises(ConfigError, match="needs colours"):
         do(path, tmp_path / "out", method="lonely")
+
+
+def test_a_store_keeps_colours_for_a_method_that_needs_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    las = laspy.read(clouds.write(tmp_path / "plain.laz", clouds.city(64.0)))
+    laspy.convert(las, point_format_id=7).write(tmp_path / "coloured.laz")
+    path, out = tmp_path / "coloured.laz", tmp_path / "out"
+    do(path, out, "filter", method="lonely")
+    assert open_store(str(out / "store.zarr")).meta.has_rgb is False
+    monkeypatch.setitem(METHODS, "lonely", Method("lonely", "three passes", Parameters, needs=("rgb",)))
+    with pytest.raises(
+        ConfigError, match=r"store.zarr: holds no colours, which --method lonely needs; use --ov"
+    ):
+        do(path, out, "filter", method="lonely")
+    do(path, out, "filter", method="lonely", overwrite=True)
+    assert open_store(str(out / "store.zarr")).meta.has_rgb is True

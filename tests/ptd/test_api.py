@@ -71,7 +71,7 @@ def echo(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_columns_and_labels_go_from_pass_to_pass() -> None:
     result = ptd.classify(XYZ, "echo", rgb=RGB, returns=RETURNS, sigma=0.05)
     assert np.array_equal(result.classification, RGB[:, 0] % 100 + RETURNS[:, 1])
-    assert result.decisions["statistics"] == {"run": {"rgb": True, "sigma_m": 0.05, "kind": None}, "n": N}
+    assert result.decisions["statistics"] == {"run": {"sigma_m": 0.05, "kind": None}, "n": N}
     assert result.stats == {"first": {"given": N}, "second": {"given": N}}
 
 
@@ -87,8 +87,16 @@ def test_columns_and_labels_go_from_pass_to_pass() -> None:
         ({"rgb": RGB.astype(int) - 65_536}, "^rgb must be whole numbers from 0 to 65535$"),
         ({"rgb": np.full(RGB.shape, np.nan)}, "^rgb must be whole numbers from 0 to 65535$"),
         ({"rgb": RGB, "returns": RETURNS.astype(int) + 255}, "^returns must be whole numbers from 0 to 255$"),
-        ({"rgb": RGB, "sigma": 0.0}, r"^sigma 0\.0: must be metres above 0$"),
-        ({"rgb": RGB, "sigma": np.nan}, "^sigma nan: must be metres above 0$"),
+        (
+            {"rgb": RGB, "returns": np.full(RETURNS.shape, None)},
+            "^returns must be whole numbers from 0 to 255$",
+        ),
+        (
+            {"rgb": RGB, "returns": np.full(RETURNS.shape, 2**70)},
+            "^returns must be whole numbers from 0 to 255$",
+        ),
+        ({"rgb": RGB, "sigma": 0.0}, r"^sigma 0\.0: must be 1e-06 to 1000 m$"),
+        ({"rgb": RGB, "sigma": np.nan}, "^sigma nan: must be 1e-06 to 1000 m$"),
     ],
 )
 def test_what_does_not_fit_is_refused(arguments: dict[str, Any], message: str) -> None:
@@ -129,3 +137,17 @@ def test_a_matched_cloud_whose_points_lie_far_apart_is_refused() -> None:
         ValueError, match=r"^xyz extends over 300\d\d x 300\d\d m, too much for a raster of 1 m"
     ):
         ptd.classify(np.concatenate([near, near + [30_000, 30_000, 0]]), kind="dim")
+
+
+def test_coordinates_that_are_not_exact_are_refused() -> None:
+    near = np.random.default_rng(1).uniform(0, 20, (50, 3))
+    ptd.classify(near + [8e12, 0, 0], "classic")
+    with pytest.raises(ValueError, match=r"^xyz has x or y of 1e\+16 m; up to 9e\+12 m from 0 are exact"):
+        ptd.classify(near + [0, -1e16, 0], "classic")
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e3])
+def test_any_noise_that_is_allowed_can_be_worked_with(sigma: float) -> None:
+    """A dense cloud: the longest edges of `dong2018` follow from its noise."""
+    near = np.random.default_rng(1).uniform(0, 20, (4000, 3)) * [1, 1, 0.01]
+    assert len(ptd.classify(near, "dong2018", sigma=sigma).classification) == len(near)

@@ -60,7 +60,7 @@ def test_points_elected_by_a_pass_are_what_later_passes_see_and_label(xyz: np.nd
     assert 0.2 < (result.classification == 2).mean() < 0.95
     assert list(result.stats) == ["census", "medians", "rising", "spread", "mean"]
     assert 550 < result.stats["medians"]["cells"] == result.stats["rising"]["elected"] <= 24**2
-    assert result.decisions["statistics"]["run"] == {"rgb": False, "sigma_m": None, "kind": "dim"}
+    assert result.decisions["statistics"]["run"] == {"sigma_m": None, "kind": "dim"}
 
 
 @pytest.mark.parametrize("tile_m", [None, 3.0, 8.0, 11.0])

@@ -76,7 +76,7 @@ def test_texts_that_are_refused(texts: dict[str, str], message: str) -> None:
         ({"switch": 1}, "switch 1: must be true or false"),
         ({"length_m": "3"}, "length_m '3': must be a number"),
         ({"length_m": None}, "length_m None: must be a number"),
-        ({"length_m": 1.0936132983377}, "length_m 1.0936132983377: write at most 6 decimals, as 1.09361"),
+        ({"length_m": 1.0936132983377}, "length_m 1.0936132983377: write at most 6 decimals, as 1.093613"),
     ],
 )
 def test_values_of_another_kind_are_refused(values: dict[str, object], message: str) -> None:

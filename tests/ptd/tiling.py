@@ -44,7 +44,7 @@ def classify_tiled(
     n = len(points)
     labels, marks = np.zeros(n, np.uint8), np.zeros(n, bool)
     elected, codes, doubts = Points(np.zeros((3, 0), np.int32)), np.zeros(0, np.uint8), np.zeros(0, bool)
-    state: dict[str, Any] = {"run": asdict(RunFacts(points.rgb is not None, sigma_m, kind))}
+    state: dict[str, Any] = {"run": asdict(RunFacts(sigma_m, kind))}
     for number, step in enumerate(params.passes):
         if not step.applies(state):
             continue

@@ -207,21 +207,22 @@ def blocks_of(runs: Runs, spec: RasterSpec, size: int) -> Iterator[Block]:
 
 
 def coarse_cells(coarse: RasterSpec, spec: RasterSpec, block: Block) -> tuple[npt.NDArray[np.int64], ...]:
-    """Row and column of the coarse cell below each pixel's centre: int64 (height,) and (width,)."""
+    """Row and column of the coarse cell at each pixel's centre: int64 (height,) and (width,).
+
+    The outermost cell where a centre lies beyond them, as it may where the sides do not divide one another.
+    """
     p, q = spec.lattice.p, spec.lattice.q
     x = ((2 * (spec.west + block.col + np.arange(block.width, dtype=np.int64)) + 1) * p) // (2 * q)
     y = ((2 * (spec.north - 1 - block.row - np.arange(block.height, dtype=np.int64)) + 1) * p) // (2 * q)
-    return coarse.north - 1 - coarse.lattice.index(y), coarse.lattice.index(x) - coarse.west
+    rows, cols = coarse.north - 1 - coarse.lattice.index(y), coarse.lattice.index(x) - coarse.west
+    return np.clip(rows, 0, coarse.height - 1), np.clip(cols, 0, coarse.width - 1)
 
 
 def coarse_values(
     store: TileStore, name: str, coarse: RasterSpec, spec: RasterSpec, block: Block
 ) -> npt.NDArray[np.float32]:
     """Values of a coarse raster at a block's pixels, float32 (height, width)."""
-    rows, cols = (
-        np.clip(axis, 0, end - 1)
-        for axis, end in zip(coarse_cells(coarse, spec, block), (coarse.height, coarse.width), strict=True)
-    )
+    rows, cols = coarse_cells(coarse, spec, block)
     top, left = int(rows.min()), int(cols.min())
     window = Block(top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1)
     return store.read_block(name, window)[np.ix_(rows - top, cols - left)]

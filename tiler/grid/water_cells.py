@@ -65,7 +65,7 @@ class Cells:
 
     Attributes
     ----------
-    returns : float64
+    returns : float32
         Points in each cell.
     given : bool
         Most of them are water by the input.
@@ -77,7 +77,7 @@ class Cells:
         Metres of a cell.
     """
 
-    returns: Floats
+    returns: npt.NDArray[np.float32]
     given: Bools
     ground: Floats
     domain: Bools

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
-from tiler.errors import InputError
+from tiler.errors import InputError, ProcessingError
 from tiler.ingest.extent import find_extent
 from tiler.ingest.georeference import Georeference, georeference
 from tiler.ingest.patches import Patch
@@ -22,7 +22,7 @@ from tiler.io.las.laz import LazDamage, LazLayout
 from tiler.io.las.octree import Octree, read_octree
 from tiler.io.las.reader import count_decodable, rows_at_once
 from tiler.io.locations import State, stat_cloud
-from tiler.schedule.guard import Died, Guard
+from tiler.schedule.guard import Died, Guard, NotStartedError
 
 Read = TypeVar("Read")
 
@@ -190,6 +190,10 @@ def read_guarded(guard: Guard, function: Callable[..., Read], path: Path, *argum
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror or error}); name a readable file"
+        ) from error
+    except NotStartedError as error:
+        raise ProcessingError(
+            f"{path}: the process that reads it {error}; run again when there is"
         ) from error
     except Died as died:
         raise InputError(f"{path}: the process that reads it {died}; get the file again") from died

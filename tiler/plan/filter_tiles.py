@@ -32,6 +32,9 @@ NEAR_HALF, EQUAL_HALF = 0.1, 0.05
 """Share of the points by which the parts of a tile may differ from half: where it is divided as it is too large, and
 where as each worker is to have one, when the slowest decides how long all take."""
 
+ROUNDEST = 1 << 62
+"""In place of the highest power of two that divides 0."""
+
 Records = Mapping[Cell, Mapping[str, Any]]
 """Bucket -> what its assembly recorded: ``n`` points, ``n_candidates`` of them; ``n_elected``, once there are some."""
 
@@ -106,7 +109,7 @@ def _halves(records: Records, cells: Sequence[Cell], near: float) -> list[list[C
     for before, line in pairwise(sorted(held)):
         below += held[before]
         off = abs(below / total - 0.5)
-        round_to = line & -line if off <= near else 0
+        round_to = (line & -line or ROUNDEST) if off <= near else 0
         lines.append((off > near, -round_to, off, line))
     cut = min(lines)[-1]
     return [[c for c in cells if (getattr(c, axis) < cut) == west] for west in (True, False)]

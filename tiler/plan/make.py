@@ -146,13 +146,14 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     if found.area is not None and any(is_url(s.path) and s.octree is not None for s in filled):
         bucket = min(bucket, sizes.FETCHED_BUCKET_M)
     cell = defaults.candidate_cell_m if defaults else 0.0
+    colours = defaults is not None and "rgb" in METHODS[config.method].needs
     meta = StoreMeta(
         frame=frame,
         bucket=Lattice(frame.counts(Fraction(bucket))),
         fine=Lattice(frame.counts(fine_cell_m(cell, Fraction(bucket)))),
-        has_rgb=any(s.has_rgb for s in filled),
+        has_rgb=colours and any(s.has_rgb for s in filled),
     )
-    if defaults and "rgb" in METHODS[config.method].needs and not meta.has_rgb:
+    if colours and not meta.has_rgb:
         raise ConfigError(
             f"--method {config.method}: needs colours (RGB), no input has any; use another method"
         )

@@ -129,7 +129,8 @@ class Compiler:
             except Died as died:
                 self._errors[kernels.name] = f"the process {died}"
             except Exception as error:  # noqa: BLE001 - of a thread nobody sees: `finish` tells it
-                self._errors[kernels.name] = f"{type(error).__name__}: {error}"
+                why = (str(error) or repr(error)).splitlines()[0]
+                self._errors[kernels.name] = f"{type(error).__name__}: {why}"
             finally:
                 guard.close()
                 ended.set()

@@ -61,7 +61,11 @@ def _give_all_back() -> None:
 
 
 def _keep_freed_memory() -> None:
-    """Have the allocator keep large arrays as well that are freed, which it gives back one by one otherwise."""
+    """Have the allocator keep large arrays as well that are freed, which it gives back one by one otherwise.
+
+    By the worker itself: what the process does that children are forked from would hold for all of them, and those
+    that read files need `mremap`, which this takes from a buffer that grows.
+    """
     with suppress(*_NO_GLIBC):
         for option, value in ((_M_MMAP_MAX, 0), (_M_TRIM_THRESHOLD, 2**31 - 1), (_M_ARENA_MAX, 1)):
             _c_library().mallopt(option, value)
@@ -90,7 +94,6 @@ def prepare(memory_bytes: int) -> None:
     """
     global _kept_bytes
     load_kernels()
-    _keep_freed_memory()
     _kept_bytes = _resident_bytes() + memory_bytes // KEPT_SHARE
 
 
@@ -106,6 +109,8 @@ def compute(store_url: str, task: Task) -> Outcome:
 
 def _worked(store_url: str, task: Task, committed: bool) -> Outcome:
     start = time.monotonic()
+    if _kept_bytes:
+        _keep_freed_memory()
     if task.starts_small:
         _give_all_back()
     _forget_peak()

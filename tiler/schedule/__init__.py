@@ -7,7 +7,7 @@ from importlib import import_module
 from threading import Thread
 
 from tiler.schedule.fork_server import FORKS, WORKING, kept_forking, prepare_children
-from tiler.schedule.guard import Died, Guard, limits_memory
+from tiler.schedule.guard import Died, Guard, NotStartedError, limits_memory
 from tiler.schedule.isolated_reading import half_of_memory, read_apart, seconds_for
 from tiler.schedule.parallel_calls import Guards
 from tiler.schedule.serial import SerialExecutor
@@ -38,6 +38,7 @@ __all__ = [
     "Limits",
     "Look",
     "Machine",
+    "NotStartedError",
     "Outcome",
     "Perform",
     "Placed",

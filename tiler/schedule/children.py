@@ -16,7 +16,7 @@ from typing import Any
 import distributed
 from distributed.system import MEMORY_LIMIT
 
-from tiler.schedule.guard import Died, Guard
+from tiler.schedule.guard import Died, Guard, NotStartedError
 from tiler.schedule.task import Limits, Outcome, Perform, Task
 
 WORKER_DIED = "WorkerDied"
@@ -54,6 +54,8 @@ class Children:
             outcome = guard.call(perform, store_url, task, seconds=run.limits.seconds_of(task))
             if outcome.again:
                 guard.close()  # the next try is another process's
+        except NotStartedError as error:
+            outcome = Outcome(task, None, f"its process {error}", "MemoryError", again=True)
         except Died as died:
             outcome = Outcome(task, None, str(died), WORKER_DIED, again=True)
         except Exception as error:  # noqa: BLE001 - the task did not even reach the child, or its outcome us

@@ -40,6 +40,10 @@ class Died(TilerError):
     """The child did not survive a call, or had to be ended; the message is a predicate: "crashed (SIGSEGV)"."""
 
 
+class NotStartedError(Died):
+    """There was no memory or no process for a child: this says nothing about what it was to do."""
+
+
 class Guard:
     """A child process for calls; started by the first one, ended by `close`. A context manager.
 
@@ -113,7 +117,9 @@ class Guard:
             fine, result = pickle.load(_pipe(self._child.stdout))  # written by our own child
         except (EOFError, OSError, pickle.UnpicklingError):
             late = time.monotonic() - self._began >= self._seconds
-            raise Died(_fate(self._end(), late, self._seconds)) from None
+            code = self._end()
+            kind = NotStartedError if code == NOT_STARTED else Died
+            raise kind(_fate(code, late, self._seconds)) from None
         if fine:
             return result
         if isinstance(result, MemoryError):

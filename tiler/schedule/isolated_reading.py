@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 
 import psutil
 
-from tiler.errors import InputError
+from tiler.errors import InputError, ProcessingError
 from tiler.io.locations import stat_cloud
-from tiler.schedule.guard import MEMORY_BYTES, Died, Guard
+from tiler.schedule.guard import MEMORY_BYTES, Died, Guard, NotStartedError
 
 Result = TypeVar("Result")
 
@@ -57,6 +57,10 @@ def read_apart(
     try:
         with Guard(memory_bytes) as guard:
             return guard.call(function, *arguments, seconds=seconds_for(paths))
+    except NotStartedError as error:
+        raise ProcessingError(
+            f"{names}: the process that reads it {error}; run again when there is"
+        ) from error
     except Died as died:
         raise InputError(f"{names}: the process that reads it {died}; get the file again") from died
 

@@ -237,7 +237,8 @@ class DaskExecutor:
         try:
             outcome: Outcome = future.result()
         except _BROKEN as broken:  # what a task raises is the `error` above
-            text = f"its result could not be fetched ({type(broken).__name__}: {broken})"
+            why = (str(broken) or repr(broken)).splitlines()[0]
+            text = f"its result could not be fetched ({type(broken).__name__}: {why})"
             return replace(self._cut_off(this), error=text, again=again)
         if outcome.error_kind == WORKER_DIED:
             fate = f"its worker {outcome.error}"

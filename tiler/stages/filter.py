@@ -32,7 +32,7 @@ def filter_points(job: Job, assembled: Assembled) -> dict[Cell, str]:
         job.store.clear(f"filter{number}")  # its labels are about to be overwritten
     config, known = job.plan.config, job.plan.statistics
     sigma = None if config.sigma is None else float(config.sigma)
-    facts = RunFacts(job.plan.meta.has_rgb, sigma, config.source_kind)
+    facts = RunFacts(sigma, config.source_kind)
     state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
     before = Before(assembled.digests)
     job.facts["statistics"] = {}

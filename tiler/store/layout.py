@@ -220,10 +220,11 @@ def chunk_numbers(name: str) -> tuple[int, ...] | None:
 _NAME = r"[A-Za-z0-9_+=-][A-Za-z0-9._+=-]{0,199}"
 _SAFE = re.compile(_NAME)
 _HEX = "[0-9a-f]{32}"
+# Chunks had slashes up to schema 3, whose stores --overwrite removes.
 _KEYS = re.compile(
     r"zarr\.json|lock\.json"
     rf"|(points|labels|elected|rasters|spool|records)/({_NAME}/)?zarr\.json"
-    rf"|(points|labels|elected|rasters|spool|records)/{_NAME}/c([./][0-9]+)+"  # with / up to schema 3: --overwrite removes those stores
+    rf"|(points|labels|elected|rasters|spool|records)/{_NAME}/c([./][0-9]+)+"
     rf"|index/(current\.json|{_HEX}\.npy)"
     rf"|commits/{_NAME}/{_NAME}\.json|(packs|state)/{_NAME}\.json|trial/{_HEX}"
 )

@@ -23,7 +23,7 @@ class StoreMeta:
     fine : Lattice
         Cells with one candidate each; their size divides that of a bucket.
     has_rgb : bool
-        Whether the points have colours.
+        Whether the points keep their colours, as the method of the first run needs them.
 
     Raises
     ------

@@ -23,6 +23,8 @@ from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt
 
 SPARSE_M2 = 1.0
 """Points per square metre below which no plausible noise matters."""
+LONGEST_STOP_M = 1000.0
+"""Of ``edge_length_stop_m``, as its parameter has it: noise of many metres asks for longer edges."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,7 @@ class StageOneModel(TinLabels):
         low = self._pits.holds(x, y, z)
         cell = float(state["thin_cell_m"])
         x, y, z = thinned((x[~low], y[~low], z[~low]), cell, scale)
-        edge = round(even_edge_m(state["threshold_m2"]), DECIMALS)
+        edge = min(round(even_edge_m(state["threshold_m2"]), DECIMALS), LONGEST_STOP_M)
         limits = replace(params, edge_length_stop_m=max(params.edge_length_stop_m, edge)).limits(scale)
         cells = Cells.of(cell, scale)
         known = window.inside(Cells.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)

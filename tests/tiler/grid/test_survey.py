@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import BEYOND, SURVEYED, VOID
-from tiler.grid.survey import gap_of, survey_of
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.grid.survey import coarse_cells, gap_of, survey_of
 
 SIDE = 160
 ROW, COL = np.mgrid[:SIDE, :SIDE]
@@ -99,3 +103,13 @@ def test_small_and_empty_rasters(shape: tuple[int, int]) -> None:
     for value in (True, False):
         assert survey_of(np.full(shape, value), 16.0).shape == shape
     assert not survey_of(np.zeros(shape, bool), 16.0).any()
+
+
+@pytest.mark.parametrize("bounds", [Bounds(0, 0, 61_600, 60_000), Bounds(0, 0, 60_000, 61_600)])
+def test_each_pixel_has_a_coarse_cell_where_the_sides_do_not_divide(bounds: Bounds) -> None:
+    """Centres of pixels of 1.5 m beyond cells of 2 m: in the east, and in the north."""
+    fine, coarse = (RasterSpec.covering(Lattice(Fraction(size)), bounds) for size in (1500, 2000))
+    for block in fine.blocks(BLOCK_PIXELS):
+        rows, cols = coarse_cells(coarse, fine, block)
+        assert (rows.min(), cols.min()) == (0, 0)
+        assert (rows.max(), cols.max()) == (coarse.height - 1, coarse.width - 1)

@@ -54,6 +54,12 @@ def test_parts_for_workers_are_more_equal_than_those_for_memory(
     assert {tile.cells[0].ix for tile in tiles} == lines
 
 
+def test_zero_is_the_roundest_line(plan: Plan) -> None:
+    records, roofs = buckets(range(-7, 8), range(4)), plan.passes[4]
+    tiles = tiles_of(replace(plan, tile_workers=1, tile_memory=2 << 28), records, roofs)
+    assert 0 in {tile.cells[0].ix for tile in tiles}
+
+
 def test_windows_fit_the_memory_and_a_survey_that_grows_keeps_its_tiles(plan: Plan) -> None:
     records, roofs = buckets(range(64), range(64)), plan.passes[4]
     tiles = list(tiles_of(plan, records, roofs))

@@ -16,7 +16,7 @@ import pytest
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.runs.worker import peak_rss_bytes, perform, prepare
-from tiler.schedule import Guard, Task
+from tiler.schedule import Guard, Task, limits_memory
 from tiler.store import StoreMeta, create_store
 
 
@@ -73,3 +73,19 @@ def test_a_task_that_starts_small_does_not_count_what_its_worker_kept(tmp_path: 
         with Guard(None, partial(prepare, 4 << 30)) as guard:
             peaks.append(guard.call(peak_of_small_task, url, starts_small, seconds=300.0))
     assert peaks[1] - peaks[0] > 200 << 20
+
+
+def grown() -> int:
+    """Length of a buffer that grows to 700 MB piece by piece."""
+    buffer, piece = bytearray(), bytes(1 << 20)
+    for _ in range(700):
+        buffer += piece
+    return len(buffer)
+
+
+@pytest.mark.skipif(not limits_memory(), reason="memory is not limited here")
+def test_a_reader_that_is_forked_beside_workers_has_all_of_its_memory() -> None:
+    """Without `mremap` it would need the old buffer and the new one at once."""
+    with Guard(None, partial(prepare, 4 << 30)) as worker, Guard(1 << 30) as reader:
+        worker.call(peak_rss_bytes, seconds=300.0)
+        assert reader.call(grown, seconds=300.0) == 700 << 20

@@ -11,7 +11,7 @@ import pytest
 
 from tests.tiler.schedule import calls
 from tiler.errors import InputError
-from tiler.schedule import Died, Guard, kept_forking, prepare_children
+from tiler.schedule import Died, Guard, NotStartedError, kept_forking, prepare_children
 from tiler.schedule.fork_server import FORKS
 
 SECONDS = 300.0
@@ -125,6 +125,6 @@ def test_a_child_that_cannot_be_forked_costs_itself_alone(monkeypatch: pytest.Mo
     first, second = (Guard(prepare=calls.refuse_forks) for _ in range(2))
     with first, second:
         child = first.call(calls.pid, seconds=SECONDS)
-        with pytest.raises(Died, match="^could not start: the system has no memory left"):
+        with pytest.raises(NotStartedError, match="^could not start: the system has no memory left"):
             second.call(calls.pid, seconds=SECONDS)
         assert first.call(calls.pid, seconds=SECONDS) == child
