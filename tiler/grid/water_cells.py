@@ -9,7 +9,7 @@ the shore almost all around, and lower nowhere.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.grid.reach import within
+from tiler.grid.reach import distances, within
 
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
@@ -38,6 +38,8 @@ NEAREST = 20
 """Cells of the shore with which a place of the ring is compared,"""
 LOW_PERCENT = 20
 """and the percentile of their heights."""
+PLACES_AT_ONCE = 1 << 14
+"""Each takes some 600 bytes while it is compared."""
 RISE_M, FALL_M = 0.3, 0.2
 """Least difference of height by which a place of the ring is above, or below, the shore."""
 LEAST_RISING, MOST_FALLING = 0.6, 0.05
@@ -136,14 +138,7 @@ def find_water(cells: Cells, trusted: bool) -> Iterator[Found]:
         class decides.
     """
     flat = _relief(cells.ground) < FLAT_M
-    candidates = cells.given.copy()
-    if trusted:
-        some = cells.returns > 0
-        total, held = (
-            scipy.ndimage.uniform_filter(v.astype(np.float64), SPARSE_CELLS) for v in (cells.returns, some)
-        )
-        sparse = total < SPARSE * _usual(cells) * held
-        candidates |= cells.domain & (~some | (flat & sparse))
+    candidates = cells.given | _sparse(cells, flat) if trusted else cells.given
     candidates = scipy.ndimage.binary_opening(candidates, disk(LEAST_WIDTH_M / 2 / cells.size))
     candidates |= cells.given & scipy.ndimage.binary_dilation(candidates, np.ones((3, 3), np.bool_))
     labels, _ = scipy.ndimage.label(candidates)
@@ -152,6 +147,15 @@ def find_water(cells: Cells, trusted: bool) -> Iterator[Found]:
         found = _judged(_cut(cells, wide), labels[wide], number, flat[wide])
         if found is not None:
             yield Found(wide, *found)
+
+
+def _sparse(cells: Cells, flat: Bools) -> Bools:
+    """Cells of the survey without a return, and flat ones with few returns around them."""
+    some = cells.returns > 0
+    total, held = (
+        scipy.ndimage.uniform_filter(v.astype(np.float64), SPARSE_CELLS) for v in (cells.returns, some)
+    )
+    return cells.domain & (~some | (flat & (total < SPARSE * _usual(cells) * held)))
 
 
 def _judged(cells: Cells, labels: npt.NDArray[Any], number: int, flat: Bools) -> tuple[Bools, float] | None:
@@ -175,7 +179,8 @@ def _judged(cells: Cells, labels: npt.NDArray[Any], number: int, flat: Bools) ->
 
 def _rim(cells: Cells, mine: Bools, others: Bools) -> tuple[float, float] | None:
     """Shares of the land around an area that rise and that fall from its shore; None where too little is known."""
-    distance = scipy.ndimage.distance_transform_edt(~mine) * cells.size
+    distance = distances(mine, RING_M[1] / cells.size + 1)
+    distance *= cells.size
     land = ~np.isnan(cells.ground) & ~others & cells.domain
     beside = (distance > 0) & (distance <= SHORE_M + 0.1 * cells.size)
     shore, ring = beside & land & (cells.returns > 0), (distance > RING_M[0]) & (distance <= RING_M[1]) & land
@@ -185,28 +190,38 @@ def _rim(cells: Cells, mine: Bools, others: Bools) -> tuple[float, float] | None
         or shore.sum() < LEAST_KNOWN * (beside & cells.domain).sum()
     ):
         return None
-    heights = cells.ground[shore]
-    _, near = scipy.spatial.cKDTree(np.argwhere(shore)).query(np.argwhere(ring), k=min(NEAREST, len(heights)))
-    rise = cells.ground[ring] - np.percentile(heights[near], LOW_PERCENT, axis=1)
+    rise = cells.ground[ring] - _near_ground(
+        cells.ground, shore, np.argwhere(ring), lambda near: np.percentile(near, LOW_PERCENT, axis=1)
+    )
     return float((rise > RISE_M).mean()), float((rise < -FALL_M).mean())
 
 
 def _grown(cells: Cells, mine: Bools, flat: Bools) -> Bools:
     """An area of water with what is flat and no higher beside it, however many returns come from there."""
     known = mine & ~np.isnan(cells.ground)
-    distance = scipy.ndimage.distance_transform_edt(~mine) * cells.size
-    near = flat & cells.domain & (distance <= GROW_M) & ~mine
+    near = flat & cells.domain & (distances(mine, GROW_M / cells.size + 1) * cells.size <= GROW_M) & ~mine
     places = np.argwhere(near)
     if not known.any() or not len(places):
         return mine
-    inside = np.argwhere(known)
-    _, nearest = scipy.spatial.cKDTree(inside).query(places, k=min(NEAREST, len(inside)))
-    level = np.median(cells.ground[known][nearest.reshape(len(places), -1)], axis=1)
+    level = _near_ground(cells.ground, known, places, lambda near: np.median(near, axis=1))
     low = np.zeros_like(mine)
     low[near] = cells.ground[near] <= level + LEVEL_M
     low = scipy.ndimage.binary_opening(low | mine, np.ones((3, 3), np.bool_)) | mine
     grown: Bools = scipy.ndimage.binary_propagation(mine, mask=low)
     return grown
+
+
+def _near_ground(
+    ground: Floats, known: Bools, places: npt.NDArray[np.int64], level: Callable[[Floats], Floats]
+) -> Floats:
+    """What ``level`` makes of the ground [n, k] of the known cells that are nearest to each place (row, column)."""
+    heights, tree = ground[known], scipy.spatial.cKDTree(np.argwhere(known))
+    found = np.empty(len(places))
+    for first in range(0, len(places), PLACES_AT_ONCE):
+        part = places[first : first + PLACES_AT_ONCE]
+        _, near = tree.query(part, k=min(NEAREST, len(heights)))
+        found[first : first + len(part)] = level(heights[near.reshape(len(part), -1)])
+    return found
 
 
 def under_bridges(cells: Cells, water: Bools) -> Bools:

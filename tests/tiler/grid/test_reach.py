@@ -21,8 +21,11 @@ def test_strips_are_as_the_whole(shape: tuple[int, int], share: float, radius: f
     cells = np.random.default_rng(seed).random(shape) < share
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reach, "STRIP_ROWS", 7)
-        found = reach.within(cells, radius)
+        found, far = reach.within(cells, radius), reach.distances(cells, radius)
     if not cells.any():
         assert not found.any()
+        assert np.isinf(far).all()
         return
-    assert np.array_equal(found, scipy.ndimage.distance_transform_edt(~cells) <= radius)
+    distance = scipy.ndimage.distance_transform_edt(~cells)
+    assert np.array_equal(found, distance <= radius)
+    assert np.array_equal(far, np.where(found, distance, np.inf))
