@@ -37,9 +37,11 @@ GROUND_BYTES = 200
 PIECE_BYTES, NEAR_PIECE_BYTES = 160, 650
 """Per piece of a breakline, of all in the run and of those in a block's window: 460 measured while they are looked up,
 and a vertex of the TIN."""
-JOINED_BYTES = 3 << 29
-"""A worker at most, with a tile of a pass on candidates: 1.8 km of dense laser scans and 229 m around them. Larger ones
-save nothing: 213 M points took 470 CPU s in 10 tiles a pass and 496 in 5, and more of them share out more equally."""
+JOINED_BYTES = 1 << 30
+"""A worker at most, with a tile of a pass on candidates: 1.4 km of dense laser scans and 229 m around them. Larger ones
+save nothing (213 M points: 413 CPU s in 18 tiles a pass, 415 in 12), and more of them share out more equally."""
+TIN_BYTES = 3 << 29
+"""Of the points of a TIN that blocks of the terrain share, at most."""
 EXPORT_BYTES = 128 << 20
 """A worker that writes a file: GDAL's blocks, or the records of a classified cloud in hand."""
 EXPORT_POINTS = 1 << 27

@@ -16,7 +16,7 @@ from tiler.errors import DamagedError, DiskFullError, TilerError
 from tiler.schedule import Outcome, Task
 from tiler.store import open_store
 
-KEPT_SHARE = 8
+KEPT_SHARE = 10
 """Between tasks a worker keeps one in so many bytes of its memory at most: freed arrays, for those of the next task."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -4, -8  # of malloc.h
@@ -90,7 +90,7 @@ def prepare(memory_bytes: int) -> None:
     Parameters
     ----------
     memory_bytes : int
-        Allowed for a worker; an eighth of it may stay with the process between tasks.
+        Allowed for a worker; a tenth of it may stay with the process between tasks.
     """
     global _kept_bytes
     load_kernels()

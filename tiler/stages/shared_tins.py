@@ -18,7 +18,7 @@ from tiler.core.lattice import Cell
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.grid import GridBlock, GridBlocks, grid_blocks, most_of_bucket
 from tiler.plan import Plan
-from tiler.plan.memory import GROUND_BYTES, JOINED_BYTES
+from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
 from tiler.schedule import Task
 
 MOST_PIXELS = 16 * BLOCK_PIXELS**2
@@ -65,7 +65,7 @@ def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: 
     if len(tasks) < 2 or plan.config.interpolation != "linear":
         return list(tasks)
     survey = _Survey(plan, records, [task.arguments for task in tasks])
-    groups = _busy(survey, _fitting(survey, min(plan.block_points, JOINED_BYTES // GROUND_BYTES)), workers)
+    groups = _busy(survey, _fitting(survey, min(plan.block_points, TIN_BYTES // GROUND_BYTES)), workers)
     groups.sort(key=lambda group: -group.cost)
     return [_joined([tasks[i] for i in group.blocks]) for group in groups]
 

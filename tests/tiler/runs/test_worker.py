@@ -46,7 +46,7 @@ def resident_after(url: str) -> int:
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other allocators give back at once")
-def test_a_worker_keeps_freed_memory_up_to_an_eighth_of_what_it_may_have(tmp_path: Path) -> None:
+def test_a_worker_keeps_freed_memory_up_to_a_tenth_of_what_it_may_have(tmp_path: Path) -> None:
     url = str(tmp_path / "store.zarr")
     create_store(url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False))
     left = []
