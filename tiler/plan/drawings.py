@@ -42,7 +42,7 @@ def with_drawings(plan: Plan) -> Plan:
         found = _read(plan, Path(name), LINES_AND_POLYGONS, True, notes, warnings)
         lines += [_counts(feature, line) for feature in found.features for line in _lines(feature)]
     if lines:
-        warnings += _tell_two_heights(lines)
+        warnings += [*_tell_two_heights(lines), *_tell_upright(lines)]
     edits: tuple[Edit, ...] = ()
     if config.edits is not None:
         found = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
@@ -65,6 +65,24 @@ def _tell_two_heights(lines: list[Counts]) -> list[str]:
     return [
         f"--breaklines: {len(places)} places have two heights, the first is ({x:.10g}, {y:.10g}): {low:g} and "
         f"{high:g}; one of them holds; draw the top and the foot of a wall some centimetres apart"
+    ]
+
+
+def _tell_upright(lines: list[Counts]) -> list[str]:
+    """A warning where two vertices of a line differ in height alone: the terrain has one height at each place."""
+    steps = [np.diff(line, axis=0) for line in lines]
+    places = np.concatenate(
+        [
+            line[:-1][(step[:, :2] == 0).all(axis=1) & (step[:, 2] != 0)]
+            for line, step in zip(lines, steps, strict=True)
+        ]
+    )
+    if not len(places):
+        return []
+    x, y, _ = (value / COUNTS_PER_UNIT for value in places[0].tolist())
+    return [
+        f"--breaklines: upright segments are left out ({len(places)}, the first at {x:.10g}, {y:.10g}); draw the top "
+        "and the foot of a wall some centimetres apart"
     ]
 
 

@@ -75,7 +75,11 @@ class RasterStore(StorePart):
     def stored_blocks(self, name: str) -> set[tuple[int, int]]:
         """First row and column of each block that a chunk is stored for; others hold the fill, or are lost."""
         stored = map(layout.chunk_numbers, self._storage.names(layout.raster_path(name)))
-        return {(chunk[0] * BLOCK_PIXELS, chunk[1] * BLOCK_PIXELS) for chunk in stored if chunk is not None}
+        return {
+            (chunk[0] * BLOCK_PIXELS, chunk[1] * BLOCK_PIXELS)
+            for chunk in stored
+            if chunk and len(chunk) == 2
+        }
 
     def erase_blocks(self, name: str, blocks: Iterable[Block]) -> None:
         """Remove what is stored of some blocks, which then hold the raster's fill."""
