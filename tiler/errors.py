@@ -13,6 +13,11 @@ _NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 _NEXT_TO_NOTHING_BYTES = 1 << 20
 
 
+def first_line(error: BaseException) -> str:
+    """The first line of an error's text, or what it is where it has none: libraries write several."""
+    return (str(error) or repr(error)).splitlines()[0]
+
+
 class TilerError(Exception):
     """Anything that tiler refuses or cannot do; the message is one line: what, where, value, remedy."""
 

@@ -150,4 +150,4 @@ def test_coordinates_that_are_not_exact_are_refused() -> None:
 def test_any_noise_that_is_allowed_can_be_worked_with(sigma: float) -> None:
     """A dense cloud: the longest edges of `dong2018` follow from its noise."""
     near = np.random.default_rng(1).uniform(0, 20, (4000, 3)) * [1, 1, 0.01]
-    assert len(ptd.classify(near, "dong2018", sigma=sigma).classification) == len(near)
+    assert (ptd.classify(near, "dong2018", sigma=sigma).classification == 2).any()

@@ -193,7 +193,7 @@ def read_guarded(guard: Guard, function: Callable[..., Read], path: Path, *argum
         ) from error
     except NotStartedError as error:
         raise ProcessingError(
-            f"{path}: the process that reads it {error}; run again when there is"
+            f"{path}: the process that reads it {error}; end other programs, then run again"
         ) from error
     except Died as died:
         raise InputError(f"{path}: the process that reads it {died}; get the file again") from died

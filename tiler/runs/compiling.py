@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from ptd.kernel import compiled_count
 from ptd.precompile import filters_name, gridding_name, has_kinds, is_compiled, warm_filters, warm_gridding
+from tiler.errors import first_line
 from tiler.observe.events import Listener
 from tiler.plan import KEEP, LEAST_MATCHED_M2, Plan
 from tiler.schedule import Died, Guard
@@ -129,8 +130,7 @@ class Compiler:
             except Died as died:
                 self._errors[kernels.name] = f"the process {died}"
             except Exception as error:  # noqa: BLE001 - of a thread nobody sees: `finish` tells it
-                why = (str(error) or repr(error)).splitlines()[0]
-                self._errors[kernels.name] = f"{type(error).__name__}: {why}"
+                self._errors[kernels.name] = f"{type(error).__name__}: {first_line(error)}"
             finally:
                 guard.close()
                 ended.set()

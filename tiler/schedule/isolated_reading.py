@@ -59,7 +59,7 @@ def read_apart(
             return guard.call(function, *arguments, seconds=seconds_for(paths))
     except NotStartedError as error:
         raise ProcessingError(
-            f"{names}: the process that reads it {error}; run again when there is"
+            f"{names}: the process that reads it {error}; end other programs, then run again"
         ) from error
     except Died as died:
         raise InputError(f"{names}: the process that reads it {died}; get the file again") from died

@@ -22,7 +22,7 @@ import distributed
 from distributed import KilledWorker
 from distributed.comm.addressing import get_address_host_port
 
-from tiler.errors import ConfigError, ConnectionLostError
+from tiler.errors import ConfigError, ConnectionLostError, first_line
 from tiler.schedule.children import (
     WORKER_DIED,
     Run,
@@ -232,13 +232,11 @@ class DaskExecutor:
             text = "its worker went away each time (a machine that was lost, or its memory)"
             return Outcome(this.task, None, text, WORKER_DIED, again=again)
         if error is not None:
-            text = (str(error) or repr(error)).splitlines()[0]
-            return Outcome(this.task, None, text, type(error).__name__, again=again)
+            return Outcome(this.task, None, first_line(error), type(error).__name__, again=again)
         try:
             outcome: Outcome = future.result()
         except _BROKEN as broken:  # what a task raises is the `error` above
-            why = (str(broken) or repr(broken)).splitlines()[0]
-            text = f"its result could not be fetched ({type(broken).__name__}: {why})"
+            text = f"its result could not be fetched ({type(broken).__name__}: {first_line(broken)})"
             return replace(self._cut_off(this), error=text, again=again)
         if outcome.error_kind == WORKER_DIED:
             fate = f"its worker {outcome.error}"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tiler.grid import reach, water_cells
 from tiler.grid.water_cells import Cells, dense_enough, find_water, under_bridges, without_narrows
 
 SIDE = 120  # cells of 2 m
@@ -43,6 +44,16 @@ def test_water_between_rising_banks_is_found(ground: np.ndarray, wet: np.ndarray
     water = found(cells(ground, wet, left))
     assert (water & wet).sum() > 0.85 * wet.sum()
     assert (water & ~wet).sum() <= 0.01 * wet.sum()
+
+
+@pytest.mark.parametrize("left", [0.0, 0.3])
+def test_the_land_around_may_be_compared_in_pieces(left: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = cells(VALLEY, RIVER, left)
+    whole = [(body.window, body.cells.tolist(), body.sure) for body in find_water(given, True)]
+    monkeypatch.setattr(water_cells, "PLACES_AT_ONCE", 7)
+    monkeypatch.setattr(reach, "STRIP_ROWS", 9)
+    assert whole
+    assert [(body.window, body.cells.tolist(), body.sure) for body in find_water(given, True)] == whole
 
 
 @pytest.mark.parametrize(

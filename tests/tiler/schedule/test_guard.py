@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 
 from tests.tiler.schedule import calls
-from tiler.errors import InputError
+from tiler.errors import InputError, ProcessingError
+from tiler.ingest.sources import read_guarded
 from tiler.schedule import Died, Guard, NotStartedError, kept_forking, prepare_children
 from tiler.schedule.fork_server import FORKS
 
@@ -127,4 +129,6 @@ def test_a_child_that_cannot_be_forked_costs_itself_alone(monkeypatch: pytest.Mo
         child = first.call(calls.pid, seconds=SECONDS)
         with pytest.raises(NotStartedError, match="^could not start: the system has no memory left"):
             second.call(calls.pid, seconds=SECONDS)
+        with pytest.raises(ProcessingError, match="could not start: .* end other programs, then run again$"):
+            read_guarded(second, calls.fail, Path(__file__))  # it says nothing about the file
         assert first.call(calls.pid, seconds=SECONDS) == child

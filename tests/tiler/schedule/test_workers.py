@@ -19,6 +19,7 @@ from tests.integration.cloud import Cable
 from tests.tiler.schedule import calls
 from tiler.errors import ConfigError, ConnectionLostError
 from tiler.schedule import TRIES, Executor, Limits, Outcome, SerialExecutor, Task
+from tiler.schedule.fork_server import FORKS
 from tiler.schedule.workers import DaskExecutor
 
 SECONDS = 300.0
@@ -250,3 +251,19 @@ def test_a_cluster_whose_workers_come_late_is_waited_for(
             run(executor, others(1), tmp_path)
         finally:
             executor.close()
+
+
+@pytest.mark.skipif(not FORKS, reason="children are not forked here")
+def test_a_process_that_cannot_start_is_not_told_as_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("A_SERVER", "that forks once")
+    limits = Limits(memory_bytes=1 << 30, seconds=SECONDS, prepare=calls.refuse_forks)
+    executor = DaskExecutor(2, limits=limits)
+    try:
+        ends, _ = run(executor, [task(1, wait=3), task(2, wait=3)], tmp_path)
+    finally:
+        executor.close()
+    done, left = sorted(ends.values(), key=lambda outcome: outcome.error is not None)
+    assert done.error is None
+    assert str(left.error).startswith("its process could not start: the system has no memory left")
